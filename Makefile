@@ -1,0 +1,57 @@
+# biobot: the base station for cyborg-insect networks. "make help" lists what there is.
+.DEFAULT_GOAL := help
+VENV := .venv
+PY := $(VENV)/bin/python
+STAMP := $(VENV)/.installed
+ARGS ?=
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 26
+
+venv: $(STAMP)  ## make .venv with everything, pinned and hashed; every console script runs from it
+$(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh
+	sh scripts/bootstrap.sh $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable .
+	touch $(STAMP)
+
+demo: venv  ## insects walk, a gateway listens, a mapper draws; the map opens in a browser (ARGS="--exit --seed 7")
+	$(PY) -m studies.demo $(ARGS)
+
+test: venv  ## run the tests (ARGS="-k name")
+	$(PY) -m pytest --numprocesses=2 --dist=loadgroup $(ARGS)
+
+check: venv format-check lint types layers test  ## the gate: format, lint, types, layers, tests
+
+format:  ## write the format
+	$(PY) -m ruff format . && $(PY) -m ruff check --fix .
+
+format-check: venv
+	$(PY) -m ruff format --check .
+
+lint: venv
+	$(PY) -m ruff check .
+
+types: venv
+	$(PY) -m mypy
+
+layers: venv
+	$(VENV)/bin/lint-imports
+
+system-packages:  ## install Chromium for the browser tests (Debian)
+	sh scripts/system_packages.sh
+
+train: venv  ## train the hole classifier anew on simulated arenas (hours; resumable)
+	$(PY) -m studies.train_classifier $(ARGS)
+
+lock:  ## pin every dependency with hashes (needs uv)
+	sh scripts/lock.sh
+
+docker-check: venv  ## lint the Dockerfile and validate the compose file; no engine needed
+	$(VENV)/bin/hadolint -c docker/hadolint.yaml docker/Dockerfile
+	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
+
+clean:  ## remove what the other targets made
+	rm -rf $(VENV) build dist demo-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+.PHONY: help venv demo test check format format-check lint types layers system-packages train lock docker-check clean

@@ -1,0 +1,155 @@
+"""One way to build a frozen configuration: defaults, then TOML, then environment, then flags.
+
+Pure: the caller reads the file and hands over its text. Unknown keys are errors, and all errors are reported together.
+The configuration itself is a ``msgspec.Struct`` whose fields are scalars, tuples or further Structs.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import msgspec
+
+from firmware_protocol.errors import ConfigurationError
+
+ConfigT = TypeVar("ConfigT", bound=msgspec.Struct)
+
+_SEPARATOR = "__"
+
+
+def load_configuration(
+    config_type: type[ConfigT],
+    *,
+    toml_text: str | None = None,
+    toml_name: str = "configuration",
+    environment: Mapping[str, str] | None = None,
+    environment_prefix: str,
+    flags: Mapping[str, object] | None = None,
+) -> ConfigT:
+    """Build a configuration from its four sources, later ones winning.
+
+    Parameters
+    ----------
+    config_type
+        A Struct type; every field has a default or must be given by a source.
+    toml_text
+        Content of the TOML file, or None where there is none.
+    toml_name
+        Name of that file, for messages.
+    environment
+        Environment variables. ``BIOBOT_GATEWAY__SERIAL__BAUD`` sets ``serial.baud`` under the prefix ``BIOBOT_GATEWAY``.
+    environment_prefix
+        Upper-case prefix, without separator.
+    flags
+        Dotted key to value, from the command line; None means "not given".
+
+    Raises
+    ------
+    ConfigurationError
+        With one line for every unknown key and every unfit value of any source.
+    """
+    problems: list[str] = []
+    merged: dict[str, Any] = {}
+    origin: dict[str, str] = {}
+    if toml_text is not None:
+        try:
+            _merge(merged, tomllib.loads(toml_text), origin=origin, source=toml_name)
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigurationError([f"{toml_name}: not valid TOML: {error}"]) from error
+    for name, text in sorted((environment or {}).items()):
+        if name.startswith(environment_prefix + _SEPARATOR):
+            path = name.removeprefix(environment_prefix + _SEPARATOR).lower().split(_SEPARATOR)
+            _merge(merged, _nest(path, _Text(text)), origin=origin, source=name)
+    for dotted, value in (flags or {}).items():
+        if value is not None:
+            flag = "--" + dotted.rsplit(".", 1)[-1].replace("_", "-")
+            _merge(merged, _nest(dotted.split("."), value), origin=origin, source=flag)
+    values = _convert_fields(config_type, merged, prefix="", origin=origin, problems=problems)
+    if not problems:
+        try:
+            return config_type(**values)
+        except (TypeError, ValueError) as error:
+            problems.append(f"{toml_name}: {error}" if toml_text is not None else str(error))
+    raise ConfigurationError(problems)
+
+
+class _Text(str):
+    """A value that came as text and may still become a number, a truth value or a list."""
+
+    __slots__ = ()
+
+
+def _nest(path: list[str], value: object) -> dict[str, Any]:
+    nested: Any = value
+    for key in reversed(path):
+        nested = {key: nested}
+    return nested  # type: ignore[no-any-return]  # the loop ran at least once: a path is never empty
+
+
+def _merge(into: dict[str, Any], new: Mapping[str, Any], *, origin: dict[str, str], source: str, prefix: str = "") -> None:
+    for key, value in new.items():
+        dotted = f"{prefix}{key}"
+        if isinstance(value, Mapping) and isinstance(into.get(key, {}), dict):
+            _merge(into.setdefault(key, {}), value, origin=origin, source=source, prefix=f"{dotted}.")
+        else:
+            into[key] = value
+        origin[dotted] = source
+
+
+def _convert_fields(
+    config_type: type[msgspec.Struct], given: Mapping[str, Any], *, prefix: str, origin: Mapping[str, str], problems: list[str]
+) -> dict[str, Any]:
+    fields = {field.encode_name: field for field in msgspec.structs.fields(config_type)}
+    known = ", ".join(sorted(fields))
+    problems += [
+        f"{origin.get(prefix + key, '?')}: unknown key {prefix + key!r}; known here: {known}"
+        for key in sorted(given.keys() - fields.keys())
+    ]
+    values: dict[str, Any] = {}
+    for key, field in fields.items():
+        dotted = prefix + key
+        if key not in given:
+            if field.required:
+                problems.append(f"missing key {dotted!r}")
+            continue
+        value = given[key]
+        if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct):
+            before = len(problems)
+            if not isinstance(value, Mapping):
+                problems.append(f"{origin.get(dotted, '?')}: {dotted} is {value!r}, but must be a table")
+                continue
+            inner = _convert_fields(field.type, value, prefix=f"{dotted}.", origin=origin, problems=problems)
+            if len(problems) == before:
+                _try(problems, f"{origin.get(dotted, '?')}: {dotted}", values, field.name, lambda t=field.type, v=inner: t(**v))
+        else:
+            _try(
+                problems,
+                f"{origin.get(dotted, '?')}: {dotted} is {_shown(value)}",
+                values,
+                field.name,
+                lambda t=field.type, v=value: _convert(v, t),
+            )
+    return values
+
+
+def _convert(value: object, wanted: Any) -> object:
+    if isinstance(value, _Text):
+        try:
+            return msgspec.convert(str(value), wanted, strict=False)
+        except msgspec.ValidationError:
+            parts = [part.strip() for part in value.split(",") if part.strip()]
+            return msgspec.convert(parts, wanted, strict=False)
+    return msgspec.convert(value, wanted)
+
+
+def _shown(value: object) -> str:
+    return repr(str(value)) if isinstance(value, _Text) else repr(value)
+
+
+def _try(problems: list[str], label: str, values: dict[str, Any], name: str, make: Any) -> None:
+    try:
+        values[name] = make()
+    except msgspec.ValidationError as error:
+        problems.append(f"{label}: {error}")
+    except (TypeError, ValueError) as error:
+        problems.append(f"{label}: {error}")

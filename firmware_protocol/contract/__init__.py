@@ -1,0 +1,1 @@
+"""What gateway and mapper share: key expressions and records (CONTRACT.md)."""

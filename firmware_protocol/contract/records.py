@@ -1,0 +1,288 @@
+"""The records on the bus: what gateway and mapper both mean (CONTRACT.md §3 and §4).
+
+Journaled records (encounters, modes, mission phases) share a head: an identity ``(gateway, boot, sequence)`` that never
+changes, a revision that grows with each correction, and an offset in the gateway's journal without gaps. Readers ignore
+unknown fields, so a field can be added without a new version. Instants are integer nanoseconds.
+"""
+
+from enum import Enum
+from typing import Annotated, TypeAlias, TypeVar
+
+import msgspec
+
+from firmware_protocol.errors import RecordError
+from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
+
+_Offset = Annotated[int, msgspec.Meta(ge=1)]
+_Count = Annotated[int, msgspec.Meta(ge=0)]
+_Node = Annotated[NodeId, msgspec.Meta(ge=0)]
+
+
+class Mode(Enum):
+    """Whether a biobot walks (correlated random walk) or stands still ([Dir16] III)."""
+
+    CRW = "CRW"
+    S = "S"
+
+
+class Cause(Enum):
+    """Why a biobot is in its mode."""
+
+    COMMAND = "command"
+    NATURAL = "natural"
+
+
+class MissionPhase(Enum):
+    """The exploration protocol's phases ([Dir16] IV)."""
+
+    IDLE = "idle"
+    DISPERSION = "dispersion"
+    LANDMARK_SELECTION = "landmark_selection"
+    EXPLORATION = "exploration"
+    DONE = "done"
+
+
+class StimulationAction(Enum):
+    """What an operator asks of a biobot."""
+
+    START = "start"
+    STOP = "stop"
+    TURN_LEFT = "turn_left"
+    TURN_RIGHT = "turn_right"
+
+
+class Stage(Enum):
+    """How far a command has come; the last four are final."""
+
+    ACCEPTED = "accepted"
+    RADIO_CONFIRMED = "radio_confirmed"
+    BIOBOT_CONFIRMED = "biobot_confirmed"
+    REFUSED = "refused"
+    FAILED = "failed"
+    UNKNOWN = "unknown"
+
+
+class Struct(msgspec.Struct, frozen=True, kw_only=True):
+    """Common options of what crosses the bus."""
+
+
+class EncounterSide(Struct, frozen=True, kw_only=True):
+    """What one of the two reported, on the gateway's clock."""
+
+    node: _Node
+    t_start_ns: Nanoseconds
+    t_end_ns: Nanoseconds
+    rssi_dbm: RssiDbm
+
+
+class RecordHead(Struct, frozen=True, kw_only=True):
+    """Identity and place of a journaled record.
+
+    ``offset`` numbers the entries of the gateway's ``journal`` from 1 without gaps; a correction is a new entry with the
+    same identity and a higher revision. Times of a record are on the gateway's monotonic clock; adding
+    ``wall_anchor_ns`` gives UTC.
+    """
+
+    gateway: str
+    journal: str
+    offset: _Offset
+    boot: BootId
+    sequence: _Count
+    revision: _Count
+    wall_anchor_ns: Nanoseconds
+
+    @property
+    def identity(self) -> tuple[str, BootId, int]:
+        """The name of the thing recorded, the same for all its revisions."""
+        return (self.gateway, self.boot, self.sequence)
+
+
+class EncounterRecord(RecordHead, frozen=True, kw_only=True, tag="encounter"):
+    """Two biobots were within detection range ([Dir16] eq. 2); ``node_a < node_b``."""
+
+    node_a: _Node
+    node_b: _Node
+    t_start_ns: Nanoseconds
+    t_end_ns: Nanoseconds
+    error_ns: Nanoseconds
+    """No bound of the interval is wrong by more than this, by the fit of the backpacks' clocks."""
+    is_reciprocal: bool
+    """Both sides reported it."""
+    is_ongoing: bool = False
+    """The newest report said that it had not ended."""
+    is_void: bool = False
+    """This record turned out to be a part of another one, and no longer counts."""
+    sides: tuple[EncounterSide, ...] = ()
+
+
+class ModeRecord(RecordHead, frozen=True, kw_only=True, tag="mode"):
+    """A biobot was in one mode from ``t_start_ns``, to ``t_end_ns`` or (None) until further notice."""
+
+    node: _Node
+    mode: Mode
+    cause: Cause
+    t_start_ns: Nanoseconds
+    t_end_ns: Nanoseconds | None
+    error_ns: Nanoseconds
+
+
+class MissionRecord(RecordHead, frozen=True, kw_only=True, tag="mission"):
+    """A phase of the mission began at ``t_start_ns``."""
+
+    phase: MissionPhase
+    t_start_ns: Nanoseconds
+    landmarks: tuple[NodeId, ...] = ()
+    reason: str = ""
+
+
+JournalRecord: TypeAlias = EncounterRecord | ModeRecord | MissionRecord
+
+
+class RecordBatch(Struct, frozen=True, kw_only=True):
+    """Journaled records on their way: a publication, or a part of the answer to a history query.
+
+    ``head_offset`` is the newest offset in the journal when the batch was made; a reader that knows less has a gap.
+    """
+
+    gateway: str
+    journal: str
+    head_offset: _Count
+    records: tuple[JournalRecord, ...]
+
+
+class HistoryRequest(Struct, frozen=True, kw_only=True):
+    """Ask a gateway for the records of its journal from an offset on."""
+
+    from_offset: _Offset = 1
+    limit: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 10_000
+
+
+class GatewayStatus(Struct, frozen=True, kw_only=True):
+    """State of a gateway; published every second and not journaled."""
+
+    gateway: str
+    journal: str
+    boot: BootId
+    head_offset: _Count
+    wall_ns: Nanoseconds
+    radios: dict[str, str]
+    """Radio's name to its state: connecting, up or down."""
+    counters: dict[str, int]
+
+
+class NodeStatus(Struct, frozen=True, kw_only=True):
+    """Last known state of a biobot; published when it changes and not journaled."""
+
+    gateway: str
+    radio: str
+    node: _Node
+    eui64: int
+    boot: BootId
+    mode: Mode
+    cause: Cause
+    battery_mv: _Count
+    rssi_dbm: RssiDbm
+    lqi: _Count
+    last_heard_wall_ns: Nanoseconds
+    buffered: _Count
+    dropped: _Count
+    firmware: _Count = 0
+
+
+class NeighbourEntry(Struct, frozen=True, kw_only=True):
+    """A biobot within communication range."""
+
+    node: _Node
+    rssi_dbm: RssiDbm
+
+
+class NeighbourReport(Struct, frozen=True, kw_only=True):
+    """All that a biobot had within communication range in its last report."""
+
+    gateway: str
+    node: _Node
+    wall_ns: Nanoseconds
+    neighbours: tuple[NeighbourEntry, ...]
+
+
+class GatewayEvent(Struct, frozen=True, kw_only=True):
+    """Something an operator may want to know; ``kind`` is dotted, as in ``radio.down``."""
+
+    gateway: str
+    wall_ns: Nanoseconds
+    level: str
+    kind: str
+    facts: dict[str, str]
+
+
+class StimulationRequest(Struct, frozen=True, kw_only=True):
+    """A command to one biobot, sent as a query to ``command/{gateway}``."""
+
+    command_id: Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9._-]+$")]
+    node: _Node
+    action: StimulationAction
+    operator: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+    issued_wall_ns: Nanoseconds
+    ttl_ms: Annotated[int, msgspec.Meta(ge=1, le=60_000)] = 5_000
+    hold_ms: Annotated[int, msgspec.Meta(ge=0, le=3_600_000)] = 0
+
+
+class CommandStage(Struct, frozen=True, kw_only=True):
+    """One answer to a command; several may follow each other, the last one is final."""
+
+    command_id: str
+    gateway: str
+    node: _Node
+    action: StimulationAction
+    stage: Stage
+    wall_ns: Nanoseconds
+    reason: str = ""
+    mode: Mode | None = None
+
+    @property
+    def is_final(self) -> bool:
+        """No further stage follows."""
+        return self.stage not in {Stage.ACCEPTED, Stage.RADIO_CONFIRMED}
+
+
+_encoder = msgspec.msgpack.Encoder()
+_StructT = TypeVar("_StructT", bound=Struct)
+
+
+def encode_record(record: Struct) -> bytes:
+    """Return any record of this module as MessagePack."""
+    return _encoder.encode(record)
+
+
+def decode_record(data: bytes, record_type: type[_StructT]) -> _StructT:
+    """Return the record of a known type in ``data``.
+
+    Raises
+    ------
+    RecordError
+        ``data`` is not MessagePack, or lacks a field, or has a value of a wrong type or range.
+    """
+    try:
+        return msgspec.msgpack.decode(data, type=record_type)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise RecordError(record=record_type.__name__, reason=str(error)) from error
+
+
+def encode_journal_record(record: JournalRecord) -> bytes:
+    """Return a journaled record with its type tag, as it lies in journal and store."""
+    return _encoder.encode(record)
+
+
+def decode_journal_record(data: bytes) -> JournalRecord:
+    """Return the journaled record in ``data``, whichever it is.
+
+    Raises
+    ------
+    RecordError
+        ``data`` is none of them.
+    """
+    try:
+        record: JournalRecord = msgspec.msgpack.decode(data, type=JournalRecord)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise RecordError(record="journal record", reason=str(error)) from error
+    return record

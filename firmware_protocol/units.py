@@ -1,0 +1,24 @@
+"""Identities and units that cross a border between packages."""
+
+from typing import NewType
+
+NodeId = NewType("NodeId", int)
+"""Address of a biobot: its ZigBee EUI-64 as an unsigned integer; simulated biobots are numbered from 1."""
+
+ShortAddress = NewType("ShortAddress", int)
+"""16-bit ZigBee network address of a node, valid until it joins again."""
+
+BootId = NewType("BootId", int)
+"""Counts the starts of a backpack (16 bits on the wire) or names the start of a gateway (wall clock [s] when it began)."""
+
+Nanoseconds = NewType("Nanoseconds", int)
+"""An instant or a duration [ns]; which clock an instant belongs to is said by its field's name."""
+
+Milliseconds = NewType("Milliseconds", int)
+"""Ticks of a backpack's clock [ms since its boot]."""
+
+RssiDbm = NewType("RssiDbm", int)
+"""Received signal strength [dBm]."""
+
+NS_PER_MS = 1_000_000
+NS_PER_S = 1_000_000_000

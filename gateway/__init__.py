@@ -1,0 +1,1 @@
+"""The base-station service: radios in, journal, Zenoh out, commands back."""

@@ -1,0 +1,1 @@
+"""Devices and sockets behind one byte-stream interface."""

@@ -1,0 +1,1 @@
+"""Encounters in, the Geometric-Topological Persistent map out."""

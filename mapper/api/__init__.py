@@ -1,0 +1,1 @@
+"""HTTP as a thin skin over the finished maps."""

@@ -1,0 +1,9 @@
+#!/bin/sh
+# Pin every dependency with hashes: one file for development and tests, one for each service's image.
+# The files hold no addresses, so they work with whichever registry pip is set up for.
+set -eu
+command -v uv >/dev/null || { echo "error: uv is needed to resolve for all Python versions: pip install uv" >&2; exit 1; }
+for extra in dev gateway mapper simulator; do
+  uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 --extra "$extra" pyproject.toml \
+    requirements/build.in --output-file "requirements/$extra.txt"
+done

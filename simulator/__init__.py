@@ -1,0 +1,1 @@
+"""Arenas, insects, radios and backpacks that never lived."""

@@ -1,0 +1,1 @@
+"""Experiments: the one place where simulator and mapper meet."""

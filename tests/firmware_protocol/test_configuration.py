@@ -1,0 +1,79 @@
+"""Configuration: sources in order, faults all at once."""
+
+from typing import Annotated
+
+import msgspec
+import pytest
+
+from firmware_protocol.configuration import load_configuration
+from firmware_protocol.errors import ConfigurationError
+
+
+class Serial(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    baud: Annotated[int, msgspec.Meta(gt=0)] = 115_200
+    exclusive: bool = True
+
+
+class Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    site: str = "demo"
+    ports: tuple[str, ...] = ()
+    serial: Serial = Serial()
+    timeout_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.timeout_s < 0:
+            msg = f"timeout_s is {self.timeout_s}, but must not be negative"
+            raise ValueError(msg)
+
+
+def load(**kwargs: object) -> Config:
+    return load_configuration(Config, environment_prefix="BIOBOT_X", toml_name="x.toml", **kwargs)  # type: ignore[arg-type]  # forwarded
+
+
+def test_defaults_stand_where_nothing_is_given() -> None:
+    assert load() == Config()
+
+
+def test_flags_win_over_environment_over_toml() -> None:
+    toml = 'site = "a"\ntimeout_s = 2\n[serial]\nbaud = 1\nexclusive = false\n'
+    environment = {"BIOBOT_X__SITE": "b", "BIOBOT_X__SERIAL__BAUD": "2", "OTHER": "z"}
+
+    config = load(toml_text=toml, environment=environment, flags={"serial.baud": 3, "site": None})
+
+    assert config == Config(site="b", timeout_s=2.0, serial=Serial(baud=3, exclusive=False))
+
+
+def test_environment_text_becomes_lists_and_truth_values() -> None:
+    config = load(environment={"BIOBOT_X__PORTS": "a, b", "BIOBOT_X__SERIAL__EXCLUSIVE": "false"})
+
+    assert config.ports == ("a", "b")
+    assert config.serial.exclusive is False
+
+
+def test_all_faults_are_reported_together_with_their_source() -> None:
+    toml = "colour = 1\ntimeout_s = 'soon'\n[serial]\nbaud = -1\nparity = 'E'\n"
+
+    with pytest.raises(ConfigurationError) as caught:
+        load(toml_text=toml, environment={"BIOBOT_X__NOPE": "1"})
+
+    text = "\n".join(caught.value.problems)
+    for part in (
+        "x.toml: unknown key 'colour'",
+        "timeout_s is 'soon'",
+        "serial.baud is -1",
+        "unknown key 'serial.parity'",
+        "BIOBOT_X__NOPE",
+    ):
+        assert part in text
+    assert len(caught.value.problems) == 5
+
+
+def test_a_rule_between_fields_is_reported_as_a_fault() -> None:
+    with pytest.raises(ConfigurationError, match="must not be negative"):
+        load(toml_text="timeout_s = -1.0")
+
+
+@pytest.mark.parametrize("text", ["= 3", "serial = 3", "[serial\n"])
+def test_broken_toml_is_a_configuration_error(text: str) -> None:
+    with pytest.raises(ConfigurationError):
+        load(toml_text=text)

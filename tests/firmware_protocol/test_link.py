@@ -1,0 +1,244 @@
+"""The link: two real ends over a lossy wire, no sockets, no sleeps."""
+
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.errors import LinkFullError
+from firmware_protocol.link import (
+    MAX_PAYLOAD,
+    Link,
+    LinkConfig,
+    LinkEvent,
+    LinkLost,
+    LinkOpened,
+    LinkState,
+    LostReason,
+    PayloadConfirmed,
+    PayloadReceived,
+    Role,
+)
+
+MS = 1_000_000
+
+
+@dataclass
+class Wire:
+    """Two ends joined by a wire that loses the frames it is told to lose; time passes in steps of 50 ms."""
+
+    base: Link = field(default_factory=lambda: Link(role=Role.INITIATOR))
+    dongle: Link = field(default_factory=lambda: Link(role=Role.RESPONDER))
+    losses: list[bool] = field(default_factory=list)
+    now_ns: int = 0
+    at_base: list[bytes] = field(default_factory=list)
+    at_dongle: list[bytes] = field(default_factory=list)
+    events: list[LinkEvent] = field(default_factory=list)
+    confirms: bool = True
+
+    def run(self, steps: int = 1) -> None:
+        for _ in range(steps):
+            self.now_ns += 50 * MS
+            for link in (self.base, self.dongle):
+                deadline = link.next_deadline_ns()
+                if deadline is not None and deadline <= self.now_ns:
+                    self.note(link, link.handle_deadline(now_ns=self.now_ns))
+            for _ in range(4):
+                self.carry(self.base, self.dongle)
+                self.carry(self.dongle, self.base)
+
+    def carry(self, sender: Link, receiver: Link) -> None:
+        for frame in sender.take_frames():
+            if not (self.losses and self.losses.pop(0)):
+                self.note(receiver, receiver.receive(frame, now_ns=self.now_ns))
+
+    def note(self, link: Link, events: list[LinkEvent]) -> None:
+        self.events += events
+        for event in events:
+            if isinstance(event, PayloadReceived):
+                (self.at_base if link is self.base else self.at_dongle).append(event.payload)
+                if self.confirms:
+                    link.confirm(event.receipt)
+
+
+def opened(**kwargs: object) -> Wire:
+    wire = Wire(**kwargs)  # type: ignore[arg-type]  # forwarded
+    wire.base.open(session=1, now_ns=0)
+    wire.run(2)
+    return wire
+
+
+def test_a_session_opens() -> None:
+    wire = opened()
+
+    assert wire.base.state is wire.dongle.state is LinkState.OPEN
+    assert [type(event) for event in wire.events] == [LinkOpened, LinkOpened]
+
+
+@given(st.lists(st.booleans(), max_size=300), st.integers(0, 40), st.integers(0, 40))
+def test_everything_arrives_once_and_in_order_whatever_is_lost(losses: list[bool], n_up: int, n_down: int) -> None:
+    """Losses end some time, as a cable that never works delivers nothing; then all must have come through."""
+    wire = Wire(base=Link(role=Role.INITIATOR, config=LinkConfig(max_silent_retries=10_000)), losses=losses)
+    wire.dongle.config = LinkConfig(max_silent_retries=10_000)
+    wire.base.open(session=7, now_ns=0)
+    up = [b"u%d" % i for i in range(n_up)]
+    down = [b"d%d" % i for i in range(n_down)]
+    for payload in up:
+        wire.dongle.send(payload, now_ns=0)
+    for payload in down:
+        wire.base.send(payload, now_ns=0)
+
+    wire.run(2_000)
+
+    assert wire.at_base == up
+    assert wire.at_dongle == down
+    assert sum(isinstance(event, PayloadConfirmed) for event in wire.events) == n_up + n_down
+
+
+def test_more_than_256_payloads_keep_their_order() -> None:
+    wire = opened()
+    sent = [i.to_bytes(2, "big") for i in range(700)]
+    for start in range(0, 700, 100):
+        for payload in sent[start : start + 100]:
+            wire.dongle.send(payload, now_ns=wire.now_ns)
+        wire.run(10)
+
+    assert wire.at_base == sent
+
+
+def test_an_unconfirmed_payload_is_not_acknowledged_and_stalls_but_does_not_break_the_link() -> None:
+    wire = opened(confirms=False)
+    tickets = [wire.dongle.send(b"%d" % i, now_ns=wire.now_ns) for i in range(20)]
+
+    wire.run(400)
+
+    assert len(wire.at_base) == wire.dongle.config.window
+    assert wire.dongle.state is wire.base.state is LinkState.OPEN
+    assert not any(isinstance(event, PayloadConfirmed) for event in wire.events)
+    received = [event for event in wire.events if isinstance(event, PayloadReceived)]
+    wire.confirms = True
+    wire.base.confirm(received[-1].receipt)
+    wire.run(50)
+    assert [event.ticket for event in wire.events if isinstance(event, PayloadConfirmed)] == tickets
+
+
+def test_what_the_dongle_heard_survives_a_new_session() -> None:
+    wire = opened(confirms=False)
+    wire.dongle.send(b"heard", now_ns=wire.now_ns)
+    wire.run(2)
+    wire.base = Link(role=Role.INITIATOR)
+    wire.base.open(session=2, now_ns=wire.now_ns)
+
+    wire.run(5)
+
+    assert wire.at_base == [b"heard", b"heard"]
+
+
+def test_what_the_base_has_not_seen_confirmed_is_dropped_and_reported() -> None:
+    wire = opened(losses=[])
+    wire.losses = [True] * 1000
+    ticket = wire.base.send(b"stimulate", now_ns=wire.now_ns)
+
+    wire.run(400)
+
+    lost = [event for event in wire.events if isinstance(event, LinkLost) and event.dropped]
+    assert lost == [LinkLost(reason=LostReason.NO_ANSWER, dropped=(ticket,))]
+    wire.losses = []
+    wire.base.open(session=2, now_ns=wire.now_ns)
+    wire.run(5)
+    assert wire.at_dongle == []
+
+
+def test_an_urgent_payload_overtakes_all_that_has_not_been_sent() -> None:
+    wire = opened()
+    for i in range(40):
+        wire.base.send(b"%d" % i, now_ns=wire.now_ns)
+    wire.base.send(b"STOP", now_ns=wire.now_ns, is_urgent=True)
+
+    wire.run(40)
+
+    assert wire.at_dongle.index(b"STOP") == wire.base.config.window
+
+
+def test_a_restarted_dongle_is_noticed_at_once_when_it_announces_itself() -> None:
+    wire = opened()
+    wire.dongle = Link(role=Role.RESPONDER)
+    wire.dongle.announce_restart()
+
+    wire.run(1)
+
+    assert wire.events[-1] == LinkLost(reason=LostReason.PEER_RESTARTED)
+    assert wire.base.state is LinkState.CLOSED
+
+
+def test_a_restarted_dongle_is_noticed_by_the_next_ping_when_it_does_not() -> None:
+    wire = opened()
+    wire.dongle = Link(role=Role.RESPONDER)
+
+    wire.run(70)
+
+    assert wire.events[-1] == LinkLost(reason=LostReason.PEER_RESTARTED)
+
+
+def test_a_silent_line_is_given_up_within_the_stated_time() -> None:
+    """3 s of silence, then 5 pings 0.3 s apart: lost after 4.8 s at the latest."""
+    wire = opened()
+    wire.losses = [True] * 10_000
+
+    wire.run(round(4.9 / 0.05))
+
+    assert LinkLost(reason=LostReason.NO_ANSWER) in wire.events
+
+
+def test_an_idle_link_stays_open() -> None:
+    wire = opened()
+
+    wire.run(2_000)
+
+    assert wire.base.state is wire.dongle.state is LinkState.OPEN
+
+
+def test_a_full_queue_is_refused_but_an_urgent_payload_is_taken() -> None:
+    link = Link(role=Role.INITIATOR, config=LinkConfig(max_queue=2))
+    link.send(b"1", now_ns=0)
+    link.send(b"2", now_ns=0)
+
+    with pytest.raises(LinkFullError, match="2"):
+        link.send(b"3", now_ns=0)
+    assert link.send(b"STOP", now_ns=0, is_urgent=True) == 3
+
+
+def test_a_payload_too_long_for_a_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match=str(MAX_PAYLOAD)):
+        Link(role=Role.INITIATOR).send(bytes(MAX_PAYLOAD + 1), now_ns=0)
+
+
+def test_opening_anew_reports_what_was_under_way() -> None:
+    wire = opened()
+    ticket = wire.base.send(b"x", now_ns=wire.now_ns)
+
+    events = wire.base.open(session=2, now_ns=wire.now_ns)
+
+    assert events == [LinkLost(reason=LostReason.PEER_RESET, dropped=(ticket,))]
+
+
+def test_a_reset_of_another_link_version_is_ignored() -> None:
+    dongle = Link(role=Role.RESPONDER)
+
+    assert dongle.receive(b"\x01\x01\x00\x00\x63", now_ns=0) == []
+    assert dongle.state is LinkState.CLOSED
+    assert dongle.n_ignored == 1
+
+
+@given(st.sampled_from(Role), st.booleans(), st.lists(st.binary(max_size=12), max_size=30), st.lists(st.integers(0, 5), max_size=30))
+def test_from_any_state_any_frame_leads_to_a_known_state(role: Role, is_open: bool, frames: list[bytes], kinds: list[int]) -> None:
+    wire = opened() if is_open else Wire()
+    link = wire.base if role is Role.INITIATOR else wire.dongle
+    for frame, kind in zip(frames, kinds, strict=False):
+        for body in (frame, bytes([kind + 1, 1, 0]) + frame):
+            link.receive(body, now_ns=wire.now_ns)
+            wire.now_ns += 100 * MS
+            link.handle_deadline(now_ns=wire.now_ns)
+        assert link.state in LinkState
+        assert all(len(out) <= MAX_PAYLOAD + 4 for out in link.take_frames())
