@@ -1,0 +1,183 @@
+"""Command line of the simulator: ``run`` writes a run's files, ``serve`` stands in for a dongle, ``scenarios`` lists what there is."""
+
+import argparse
+import json
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from firmware_protocol.errors import ConfigurationError
+from simulator.config import RunConfig
+from simulator.config_sources import load_config
+from simulator.errors import ParameterError, ScenarioError, SimulationError
+from simulator.log import set_up_logging
+
+_EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    parser = _make_parser(with_serve="serve" in given)
+    args = parser.parse_args(given)
+    try:
+        status = _dispatch(args, parser)
+        sys.stdout.flush()
+    except ConfigurationError as error:
+        return _complain(error.problems, status=_EXIT_USAGE)
+    except (ScenarioError, ParameterError) as error:
+        return _complain([str(error)], status=_EXIT_USAGE)
+    except SimulationError as error:
+        return _complain([str(error)], status=_EXIT_FAILED)
+    except BrokenPipeError:
+        # Whoever read our output is gone; keep the interpreter from complaining about it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _EXIT_FAILED
+    except KeyboardInterrupt:
+        return _complain(["interrupted"], status=_EXIT_INTERRUPTED)
+    return status
+
+
+def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    # numpy, scipy and shapely take a second: usage errors and --help do not wait for them.
+    if args.command == "serve":
+        from simulator import serve  # noqa: PLC0415
+
+        return serve.main(args)
+    if args.command == "scenarios":
+        _list_scenarios(as_json=args.json)
+        return 0
+    if args.command == "run" or args.check_config:
+        config = load_config(RunConfig, args)
+        if args.check_config:
+            from simulator.scenarios import find_preset, find_scenario  # noqa: PLC0415
+
+            find_preset(config.preset)
+            if config.scenario is not None:
+                find_scenario(config.scenario)
+            print(f"{args.config or 'defaults and environment'}: the configuration is valid")
+            return 0
+        from simulator.run import run  # noqa: PLC0415
+
+        set_up_logging()
+        # A run has nothing to drain: a polite kill leaves no half-written files behind, as Ctrl-C does.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        run(config)
+        return 0
+    parser.print_usage(sys.stderr)
+    return _complain(["give a command: run, serve or scenarios"], status=_EXIT_USAGE)
+
+
+def _list_scenarios(*, as_json: bool) -> None:
+    from simulator.scenarios import DEFAULT_PRESET, PRESETS, SCENARIOS  # noqa: PLC0415
+
+    built = {name: scenario.build(PRESETS[DEFAULT_PRESET]) for name, scenario in SCENARIOS.items()}
+    if as_json:
+        scenarios = [
+            {
+                "name": name,
+                "summary": SCENARIOS[name].summary,
+                "betti_numbers": [arena.betti.components, arena.betti.holes],
+                "free_area_share": arena.area / PRESETS[DEFAULT_PRESET].side ** 2,
+            }
+            for name, arena in built.items()
+        ]
+        presets = [
+            {
+                "name": preset.name,
+                "summary": preset.summary,
+                "default": preset.name == DEFAULT_PRESET,
+                "unit_of_length": preset.unit,
+                "values": {
+                    "side": preset.side,
+                    "speed": preset.motion.speed,
+                    "mean_leg": preset.motion.mean_leg,
+                    "detection": preset.ranges.detection,
+                    "communication": preset.ranges.communication,
+                    "biobots": preset.biobots,
+                    "landmarks": preset.landmarks,
+                    "duration_s": preset.duration_s,
+                    "dispersion_s": preset.dispersion_s,
+                },
+                "sources": dict(preset.sources),
+            }
+            for preset in PRESETS.values()
+        ]
+        print(json.dumps({"scenarios": scenarios, "presets": presets}, indent=2))
+        return
+    print(f"{'scenario':<16}{'components':>11}{'holes':>7}  what it is")
+    for name, arena in built.items():
+        print(f"{name:<16}{arena.betti.components:>11}{arena.betti.holes:>7}  {SCENARIOS[name].summary}")
+    columns = f"{'side':>6}{'v_m':>6}{'l*':>6}{'r_d':>6}{'r_c':>6}{'biobots':>9}{'landmarks':>11}{'T [s]':>7}"
+    print(f"\n{'preset':<13}{'unit':>5}{columns}  what it is")
+    for preset in PRESETS.values():
+        print(
+            f"{preset.name:<13}{preset.unit:>5}{preset.side:>6g}{preset.motion.speed:>6g}{preset.motion.mean_leg:>6g}"
+            f"{preset.ranges.detection:>6g}{preset.ranges.communication:>6g}{preset.biobots:>9}{preset.landmarks:>11}"
+            f"{preset.duration_s:>7g}  {preset.summary}{' (default)' if preset.name == DEFAULT_PRESET else ''}"
+        )
+
+
+def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="biobot-sim", description="Simulated insects with backpacks: whole runs as files, or live behind a virtual dongle."
+    )
+    _add_common(parser, is_command=False)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    run = commands.add_parser("run", help="walk a whole run as fast as possible and write encounters, modes and truth")
+    _add_common(run, is_command=True)
+    _add_run_arguments(run)
+    serve = commands.add_parser("serve", help="walk in real time behind a virtual coordinator, for a gateway to listen to")
+    _add_common(serve, is_command=True)
+    if with_serve:
+        from simulator import serve as serve_module  # noqa: PLC0415  # the other commands need none of its imports
+
+        serve_module.add_arguments(serve)
+    scenarios = commands.add_parser("scenarios", help="list scenarios and presets")
+    _add_common(scenarios, is_command=True)
+    scenarios.add_argument("--json", action="store_true", help="as JSON, with the source of every value")
+    return parser
+
+
+def _add_common(parser: argparse.ArgumentParser, *, is_command: bool) -> None:
+    """Add the options of every command; on a command they default to nothing, so as not to undo those given before it."""
+    parser.add_argument("--version", action="version", version=f"%(prog)s {version('biobot-gateway')}")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE.toml",
+        default=argparse.SUPPRESS if is_command else None,
+        help="read the configuration from this file; flags and BIOBOT_SIM__... variables override it",
+    )
+    parser.add_argument(
+        "--check-config",
+        action="store_true",
+        default=argparse.SUPPRESS if is_command else False,
+        help="only check the configuration, then exit",
+    )
+
+
+def _add_run_arguments(run: argparse.ArgumentParser) -> None:
+    place = run.add_mutually_exclusive_group()
+    place.add_argument("--scenario", metavar="NAME", help="an arena by name (see: biobot-sim scenarios)")
+    place.add_argument("--arena", metavar="FILE.geojson", help="a Polygon or MultiPolygon in the preset's unit of length")
+    run.add_argument("--preset", metavar="NAME", help="parameters of insects and radios (default: paper-units)")
+    run.add_argument("--biobots", type=int, metavar="N", help="how many insects (default: the preset's)")
+    run.add_argument("--landmarks", type=int, metavar="N", help="how many of them stand still as landmarks (default: the preset's share)")
+    run.add_argument("--duration", dest="duration_s", type=float, metavar="S", help="seconds to explore (default: the preset's)")
+    run.add_argument("--seed", type=int, metavar="N", help="same seed, same run")
+    run.add_argument("--out", metavar="DIR", help="directory for the results; made if missing")
+    run.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")
+
+
+def _complain(problems: Sequence[str], *, status: int) -> int:
+    for problem in problems:
+        print(f"biobot-sim: {problem}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

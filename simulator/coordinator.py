@@ -1,0 +1,141 @@
+"""The virtual coordinator dongle: serial bytes on one side, radio payloads on the other. No I/O, no clock.
+
+Its memory is bounded. Uplink payloads wait in the link's queue until the base station confirms them; when that is full, while
+no base station is there or its disk stalls, the coordinator takes no more, and the backpacks keep what they have.
+"""
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+
+from firmware_protocol.envelope import (
+    CoordinatorHello,
+    Envelope,
+    EnvelopeFault,
+    IdentifyRequest,
+    RadioConfirm,
+    RadioReceived,
+    RadioSend,
+    RadioStatus,
+    decode_envelope,
+    encode_envelope,
+)
+from firmware_protocol.errors import LinkFullError
+from firmware_protocol.framing.cobs import CobsDecoder, FrameFault, encode_frame
+from firmware_protocol.link import Link, LinkConfig, LinkEvent, LinkOpened, LinkState, PayloadReceived, Role
+from firmware_protocol.messages import MAX_RADIO_PAYLOAD
+
+_RADIO_QUEUE = 64
+_RESERVE = _RADIO_QUEUE + 16
+"""Places in the link's queue that uplink payloads leave to confirmations: one for each payload in the radio's queue and each
+that the base station may have in its window."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CoordinatorConfig:
+    """What the coordinator says of itself; the EUI-64 begins with Texas Instruments' number."""
+
+    firmware: int = 0x0001
+    eui64: int = 0x00124B0000000000
+    pan_id: int = 0xB10B
+    channel: int = 20
+    link: LinkConfig = field(default_factory=lambda: LinkConfig(max_queue=512))
+
+
+@dataclass(slots=True, kw_only=True)
+class Coordinator:
+    """See the module. ``requests`` are what the base station wants sent; each must be answered with ``confirm``."""
+
+    config: CoordinatorConfig = field(default_factory=CoordinatorConfig)
+    requests: deque[RadioSend] = field(default_factory=deque)
+    faults: Counter[str] = field(default_factory=Counter)
+    """What came in and was of no use, and what had no room, by name."""
+    _link: Link = field(init=False)
+    _decoder: CobsDecoder = field(default_factory=CobsDecoder)
+    _n_in_radio: int = 0
+    _has_said_hello: bool = False
+
+    def __post_init__(self) -> None:
+        self._link = Link(role=Role.RESPONDER, config=self.config.link)
+
+    @property
+    def is_open(self) -> bool:
+        """A base station is connected."""
+        return self._link.state is LinkState.OPEN
+
+    def start(self) -> None:
+        """Switch the coordinator on: it asks for a session."""
+        self._link.announce_restart()
+
+    def feed(self, chunk: bytes, *, now_ns: int) -> None:
+        """Take bytes from the serial line, cut anywhere."""
+        for body in self._decoder.feed(chunk):
+            if isinstance(body, FrameFault):
+                self.faults[body.value] += 1
+            else:
+                self._handle(self._link.receive(body, now_ns=now_ns), now_ns=now_ns)
+
+    def take_bytes(self) -> bytes:
+        """Return what is to go out over the serial line; each byte is handed out once."""
+        return b"".join(encode_frame(body) for body in self._link.take_frames())
+
+    def next_deadline_ns(self) -> int | None:
+        """Return when ``handle_deadline`` must be called, or None."""
+        return self._link.next_deadline_ns()
+
+    def handle_deadline(self, *, now_ns: int) -> None:
+        """Repeat what was not answered, or give the session up."""
+        self._handle(self._link.handle_deadline(now_ns=now_ns), now_ns=now_ns)
+
+    def take_from_radio(self, received: RadioReceived, *, now_ns: int) -> bool:
+        """Take a payload from the air; return False, and take nothing, where there is no room."""
+        if self._link.n_free <= _RESERVE:
+            self.faults["uplink_full"] += 1
+            return False
+        self._send(received, now_ns=now_ns)
+        return True
+
+    def confirm(self, handle: int, status: RadioStatus, *, now_ns: int) -> None:
+        """Tell the base station what became of a request; the request leaves the radio's queue."""
+        self._n_in_radio -= 1
+        self._send(RadioConfirm(handle=handle, status=status), now_ns=now_ns)
+
+    def _handle(self, events: list[LinkEvent], *, now_ns: int) -> None:
+        for event in events:
+            if isinstance(event, LinkOpened):
+                if not self._has_said_hello:
+                    self._say_hello(now_ns)
+            elif isinstance(event, PayloadReceived):
+                self._obey(decode_envelope(event.payload), now_ns=now_ns)
+                # Nothing here outlives a power cut, so there is nothing to wait for.
+                self._link.confirm(event.receipt)
+
+    def _obey(self, envelope: Envelope | EnvelopeFault, *, now_ns: int) -> None:
+        match envelope:
+            case IdentifyRequest():
+                self._say_hello(now_ns)
+            case RadioSend(handle=handle) if len(envelope.payload) > MAX_RADIO_PAYLOAD:
+                self._send(RadioConfirm(handle=handle, status=RadioStatus.TOO_LONG), now_ns=now_ns)
+            case RadioSend(handle=handle) if self._n_in_radio >= _RADIO_QUEUE:
+                self._send(RadioConfirm(handle=handle, status=RadioStatus.QUEUE_FULL), now_ns=now_ns)
+            case RadioSend():
+                self._n_in_radio += 1
+                self.requests.append(envelope)
+            case EnvelopeFault():
+                self.faults[envelope.value] += 1
+            case CoordinatorHello() | RadioConfirm() | RadioReceived():
+                self.faults["wrong_direction"] += 1
+
+    def _say_hello(self, now_ns: int) -> None:
+        hello = CoordinatorHello(
+            firmware=self.config.firmware, eui64=self.config.eui64, pan_id=self.config.pan_id, channel=self.config.channel,
+            max_radio_payload=MAX_RADIO_PAYLOAD,
+        )  # fmt: skip
+        self._send(hello, now_ns=now_ns)
+        self._has_said_hello = True
+
+    def _send(self, envelope: Envelope, *, now_ns: int) -> None:
+        try:
+            self._link.send(encode_envelope(envelope), now_ns=now_ns)
+        except LinkFullError:
+            # Only a base station that sends requests and acknowledges nothing gets here.
+            self.faults["answer_lost"] += 1

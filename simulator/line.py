@@ -1,0 +1,132 @@
+"""What every serial line to a gateway has in common: how it is named, what it does, how it is paced and waited for.
+
+A line behaves as a wire does: what is written while nobody listens is lost, and a listener may come, go and come back. It may be
+paced to a baud rate; a pty or TCP port is as fast as it can be otherwise.
+"""
+
+import asyncio
+import errno
+import os
+import select
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from simulator.errors import ParameterError
+
+_CHUNK = 4096
+_PACED_CHUNK = 64
+_BITS_PER_BYTE = 10  # 8N1: start bit, eight data bits, stop bit
+EXAMPLES = "pty:/tmp/dongle, tcp:127.0.0.1:7000 or serial:/dev/ttyUSB0?baud=115200"
+
+
+class SerialEnd(Protocol):
+    """The simulator's end of a line."""
+
+    @property
+    def address(self) -> str:
+        """Return what a gateway is to open, in the same form as the specification."""
+
+    async def read(self) -> bytes:
+        """Wait for bytes from the gateway, for ever where none come; never empty."""
+
+    async def write(self, data: bytes) -> None:
+        """Send bytes to the gateway; where none listens they are lost. Waits while a listener is slow."""
+
+    async def aclose(self) -> None:
+        """Hang up."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineSpec:
+    """What ``--link`` asks for."""
+
+    kind: str
+    target: str
+    port: int = 0
+    baud: int | None = None
+
+
+def parse_line(text: str) -> LineSpec:
+    """Read ``pty:PATH``, ``tcp:HOST:PORT`` or ``serial:DEVICE``, each with ``?baud=N`` if wanted.
+
+    Raises
+    ------
+    ParameterError
+        The text is none of these.
+    """
+    wrong = ParameterError(name="link", got=text, wanted=f"a line such as {EXAMPLES}")
+    kind, colon, rest = text.partition(":")
+    target, question, query = rest.partition("?")
+    if not colon or not target:
+        raise wrong
+    baud: int | None = None
+    if question:
+        key, _, value = query.partition("=")
+        if key != "baud" or not value.isascii() or not value.isdigit() or not 50 <= int(value) <= 12_000_000:
+            raise ParameterError(name="link", got=text, wanted="?baud= with 50 to 12000000 and nothing else after the line's name")
+        baud = int(value)
+    if kind in {"pty", "serial"}:
+        return LineSpec(kind=kind, target=target, baud=baud)
+    if kind == "tcp":
+        host, _, port = target.rpartition(":")
+        if host and port.isascii() and port.isdigit() and int(port) <= 0xFFFF:
+            return LineSpec(kind=kind, target=host.strip("[]"), port=int(port), baud=baud)
+    raise wrong
+
+
+class Pacer:
+    """Makes bytes take the time that a line of some speed needs for them."""
+
+    def __init__(self, baud: int | None) -> None:
+        self._s_per_byte = _BITS_PER_BYTE / baud if baud else 0.0
+        self._free_at_s = 0.0
+        self.chunk = _PACED_CHUNK if baud else _CHUNK
+
+    async def pace(self, n_bytes: int) -> None:
+        """Wait until the line has carried ``n_bytes`` more."""
+        if self._s_per_byte:
+            now_s = asyncio.get_running_loop().time()
+            self._free_at_s = max(self._free_at_s, now_s) + n_bytes * self._s_per_byte
+            await asyncio.sleep(self._free_at_s - now_s)
+
+
+async def write_all(fd: int, data: bytes, *, pacer: Pacer) -> None:
+    """Write to the master side of a terminal; where nobody has the other side open, the rest is lost."""
+    loop = asyncio.get_running_loop()
+    at = 0
+    while at < len(data):
+        try:
+            written = os.write(fd, data[at : at + pacer.chunk])
+        except BlockingIOError:
+            if _is_hung_up(fd):  # a terminal whose buffer was full when its reader left stays full, and says so instead of EIO
+                return
+            await wait_ready(fd, loop.add_writer, loop.remove_writer)
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            return
+        else:
+            at += written
+            await pacer.pace(written)
+
+
+async def wait_ready(fd: int, add: Callable[..., None], remove: Callable[[int], bool]) -> None:
+    """Wait until a descriptor is ready for what ``add`` and ``remove`` of the event loop watch."""
+    ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def wake() -> None:
+        if not ready.done():
+            ready.set_result(None)
+
+    add(fd, wake)
+    try:
+        await ready
+    finally:
+        remove(fd)
+
+
+def _is_hung_up(fd: int) -> bool:
+    poll = select.poll()
+    poll.register(fd, 0)
+    return any(events & select.POLLHUP for _, events in poll.poll(0))

@@ -1,0 +1,148 @@
+"""A backpack's outgoing messages: numbered, kept and repeated until the base station has them on disk (WIRE_FORMAT.md §5.1)."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from firmware_protocol.messages import Acknowledge, Uplink
+from simulator import chance
+from simulator.errors import ParameterError
+
+MAX_WINDOW = 33
+"""An Acknowledge covers this many sequence numbers beyond those it calls done (WIRE_FORMAT.md §5.1)."""
+
+_MODULUS = 1 << 16
+_JITTER_STREAM = 201
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutboxConfig:
+    """When messages are repeated and how many may be under way; the times are those of WIRE_FORMAT.md §5.1.
+
+    Parameters
+    ----------
+    first_retry_ms, max_retry_ms
+        Wait before the first repetition, doubled for each further one up to the second value [ms]; each wait is then
+        multiplied by a draw from 0.75 to 1.25, so that backpacks that began together do not collide for ever.
+    window
+        Sequence numbers outstanding at most.
+    max_waiting
+        Messages that may wait for a sequence number.
+    """
+
+    first_retry_ms: int = 1_000
+    max_retry_ms: int = 30_000
+    window: int = 32
+    max_waiting: int = 32
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.window <= MAX_WINDOW:
+            raise ParameterError(name="window", got=self.window, wanted=f"1 to {MAX_WINDOW}")
+        if not 1 <= self.first_retry_ms <= self.max_retry_ms:
+            raise ParameterError(name="first_retry_ms", got=self.first_retry_ms, wanted=f"1 to max_retry_ms = {self.max_retry_ms}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Copy:
+    """One copy of a message, to be sent now."""
+
+    sequence: int
+    message: Uplink
+    is_first: bool
+
+
+@dataclass(slots=True, kw_only=True)
+class _Outstanding:
+    message: Uplink
+    due_ms: int
+    n_sent: int = 0
+
+
+@dataclass(slots=True, kw_only=True)
+class Outbox:
+    """See the module. Numbers begin at 0; a number once given is owed until it is acknowledged, so nothing outstanding is ever dropped."""
+
+    biobot: int
+    seed: int
+    config: OutboxConfig
+    _next_sequence: int = 0
+    _outstanding: dict[int, _Outstanding] = field(default_factory=dict)
+    _waiting: deque[Uplink] = field(default_factory=deque)
+    _n_drawn: int = 0
+
+    @property
+    def is_empty(self) -> bool:
+        """Everything given to the outbox has been acknowledged."""
+        return not self._outstanding and not self._waiting
+
+    @property
+    def n_free(self) -> int:
+        """How many more messages get a number at once."""
+        return max(0, self.config.window - len(self._outstanding) - len(self._waiting))
+
+    def holds(self, kind: type[Uplink]) -> bool:
+        """Tell whether a message of this kind is waiting or not yet acknowledged."""
+        return any(isinstance(one, kind) for one in self._waiting) or any(
+            isinstance(one.message, kind) for one in self._outstanding.values()
+        )
+
+    def put(self, message: Uplink) -> bool:
+        """Take a message; return False, and take nothing, where ``max_waiting`` messages wait already."""
+        if len(self._waiting) >= self.config.max_waiting:
+            return False
+        self._waiting.append(message)
+        return True
+
+    def take_due(self, now_ms: int) -> list[Copy]:
+        """Return what is to be sent now, in order of sequence numbers; each copy's next repetition is planned at once."""
+        while self._waiting and len(self._outstanding) < self.config.window:
+            self._outstanding[self._next_sequence] = _Outstanding(message=self._waiting.popleft(), due_ms=now_ms)
+            self._next_sequence = (self._next_sequence + 1) % _MODULUS
+        copies = []
+        for sequence, one in self._outstanding.items():
+            if one.due_ms <= now_ms:
+                copies.append(Copy(sequence=sequence, message=one.message, is_first=one.n_sent == 0))
+                one.due_ms = now_ms + self._draw_wait_ms(one.n_sent)
+                one.n_sent += 1
+        return copies
+
+    def next_due_ms(self) -> int | None:
+        """Return when ``take_due`` has something to give; None where nothing is kept."""
+        if self._waiting and len(self._outstanding) < self.config.window:
+            return 0
+        return min((one.due_ms for one in self._outstanding.values()), default=None)
+
+    def acknowledge(self, message: Acknowledge, *, now_ms: int) -> list[tuple[int, Uplink]]:
+        """Forget what the base station has on disk; return it.
+
+        An acknowledgement of numbers never given is ignored whole. One that brings progress shows that the base station
+        hears us, so whatever waits for a distant repetition is brought forward.
+        """
+        ahead = (message.next_sequence - self._next_sequence) % _MODULUS
+        if 0 < ahead < _MODULUS // 2:
+            return []
+        done = [sequence for sequence in self._outstanding if _covers(message, sequence)]
+        acknowledged = [(sequence, self._outstanding.pop(sequence).message) for sequence in done]
+        if acknowledged:
+            self.hurry(now_ms=now_ms)
+        return acknowledged
+
+    def hurry(self, *, now_ms: int) -> None:
+        """Plan repetitions as if each message had been sent only once so far."""
+        for one in self._outstanding.values():
+            if one.n_sent > 1 and one.due_ms > now_ms + self.config.first_retry_ms:
+                one.due_ms = now_ms + self._draw_wait_ms(0)
+                one.n_sent = 1
+
+    def _draw_wait_ms(self, n_sent: int) -> int:
+        self._n_drawn += 1
+        wait_ms = min(self.config.first_retry_ms << min(n_sent, 20), self.config.max_retry_ms)
+        return max(
+            1, int(wait_ms * (0.75 + 0.5 * chance.uniform(seed=self.seed, biobot=self.biobot, stream=_JITTER_STREAM, index=self._n_drawn)))
+        )
+
+
+def _covers(message: Acknowledge, sequence: int) -> bool:
+    ahead = (sequence - message.next_sequence) % _MODULUS
+    if ahead >= _MODULUS // 2:
+        return True
+    return ahead >= 1 and bool(message.bitmap >> (ahead - 1) & 1)

@@ -1,0 +1,73 @@
+"""The directory that results go to: all files at once, and never over somebody's own."""
+
+import shutil
+import uuid
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Self
+
+from simulator.errors import OutputError
+
+
+class OutputDirectory:
+    """A place held free for results; use it in a ``with`` statement, which clears away what was not committed.
+
+    Parameters
+    ----------
+    path
+        Where results go. A missing directory is made, and appears with all files in it.
+    force
+        Accept a directory that is not empty; only files of the names committed are replaced.
+
+    Raises
+    ------
+    OutputError
+        The path is no directory, holds something, or cannot be written.
+    """
+
+    __slots__ = ("_path", "_staging")
+
+    def __init__(self, path: Path, *, force: bool = False) -> None:
+        self._path = path
+        try:
+            if path.exists() and not path.is_dir():
+                raise OutputError(path=path, problem="is not a directory; choose another name for the results")
+            if path.is_dir() and any(path.iterdir()) and not force:
+                raise OutputError(path=path, problem="is not empty; choose another directory, or give --force to replace an earlier run")
+            place = path if path.is_dir() else path.absolute().parent
+            place.mkdir(parents=True, exist_ok=True)
+            self._staging = place / f".partial-{uuid.uuid4().hex}"
+            self._staging.mkdir()
+        except OSError as error:
+            raise OutputError(path=path, problem=f"cannot be written: {error.strerror or error}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        shutil.rmtree(self._staging, ignore_errors=True)
+
+    def commit(self, files: Mapping[str, bytes]) -> None:
+        """Write files and let them take their names; the last one is a mark that the others are whole and belong together.
+
+        Parameters
+        ----------
+        files
+            Name to content. In a directory that exists already, the last file is absent while the others are replaced.
+
+        Raises
+        ------
+        OutputError
+            Writing failed, as on a full disk.
+        """
+        try:
+            for name, content in files.items():
+                (self._staging / name).write_bytes(content)
+            if not self._path.exists():
+                self._staging.rename(self._path)
+                return
+            (self._path / list(files)[-1]).unlink(missing_ok=True)
+            for name in files:
+                (self._staging / name).replace(self._path / name)
+        except OSError as error:
+            raise OutputError(path=self._path, problem=f"cannot be written: {error.strerror or error}") from error

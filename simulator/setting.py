@@ -1,0 +1,151 @@
+"""The setting of a run: the arena and every parameter, chosen by a configuration and completed by its preset."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from firmware_protocol.errors import ConfigurationError
+from simulator.arena import Arena
+from simulator.config import MotionParameters, Ranges, WorldConfig
+from simulator.errors import ParameterError
+from simulator.geojson import load_arena
+from simulator.scenarios import find_preset, find_scenario
+
+# Guards against a slip of units, which would run for days or fill the memory.
+_MAX_LEGS = 20_000_000
+_MAX_ENCOUNTERS = 5_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """Everything a world is made from.
+
+    Parameters
+    ----------
+    arena_name
+        The scenario, or the file the arena came from.
+    preset, unit
+        Name of the preset, and of its unit of length.
+    biobots, landmarks
+        How many; ids are 1 to ``biobots``.
+    dispersion_s, duration_s
+        Time before and after the landmarks are set [s].
+    """
+
+    arena_name: str
+    arena: Arena
+    preset: str
+    unit: str
+    motion: MotionParameters
+    ranges: Ranges
+    biobots: int
+    landmarks: int
+    dispersion_s: float
+    duration_s: float
+    seed: int
+
+    @property
+    def ids(self) -> range:
+        """Identities of the biobots."""
+        return range(1, self.biobots + 1)
+
+    @property
+    def expected_encounters(self) -> float:
+        """Kinetic-gas estimate of the encounters after the landmarks are set, in an arena without walls.
+
+        ``v T r_d (4 N_m^2 / pi + 2 N_l N_m) / A`` for movers N_m and landmarks N_l: two movers approach each other at 4 v / pi on
+        average over all headings, a mover approaches a landmark at v, and 2 r_d is the width in which they meet.
+        """
+        movers = self.biobots - self.landmarks
+        pairs = 4.0 * movers**2 / math.pi + 2.0 * self.landmarks * movers
+        return self.motion.speed * self.duration_s * self.ranges.detection * pairs / self.arena.area
+
+    def describe(self) -> dict[str, object]:
+        """List the setting for a file of parameters; lengths are in ``unit_of_length``."""
+        return {
+            "arena": self.arena_name,
+            "preset": self.preset,
+            "seed": self.seed,
+            "unit_of_length": self.unit,
+            "parameters": {
+                "biobots": self.biobots,
+                "landmarks": self.landmarks,
+                "speed": self.motion.speed,
+                "mean_leg": self.motion.mean_leg,
+                "detection_radius": self.ranges.detection,
+                "communication_radius": self.ranges.communication,
+                "dispersion_s": self.dispersion_s,
+                "duration_s": self.duration_s,
+            },
+            "arena_area": self.arena.area,
+            "betti_numbers": [self.arena.betti.components, self.arena.betti.holes],
+            "expected_encounters": round(self.expected_encounters, 1),
+        }
+
+
+def choose_setting(config: WorldConfig) -> Setting:
+    """Complete a configuration from its preset, and load its arena.
+
+    Raises
+    ------
+    ConfigurationError
+        Neither scenario nor arena, or no seed, is given.
+    ScenarioError
+        No scenario or preset has the name given.
+    ArenaError
+        The arena file is faulty.
+    ParameterError
+        The parameters contradict each other, or would make a run without end.
+    """
+    name = config.scenario if config.arena is None else config.arena
+    if name is None or config.seed is None:
+        given = {"give --scenario NAME or --arena FILE.geojson": name, "give --seed N: the same seed makes the same run": config.seed}
+        raise ConfigurationError([what for what, value in given.items() if value is None])
+    preset = find_preset(config.preset)
+    arena = find_scenario(name).build(preset) if config.arena is None else load_arena(Path(name))
+    biobots = preset.biobots if config.biobots is None else config.biobots
+    landmarks = round(biobots * preset.landmarks / preset.biobots) if config.landmarks is None else config.landmarks
+    if landmarks > biobots:
+        raise ParameterError(name="landmarks", got=landmarks, wanted=f"at most the number of biobots, {biobots}")
+    detection = config.detection_radius or preset.ranges.detection
+    communication = config.communication_radius or preset.ranges.communication * detection / preset.ranges.detection
+    setting = Setting(
+        arena_name=name,
+        arena=arena,
+        preset=preset.name,
+        unit=preset.unit,
+        motion=MotionParameters(speed=config.speed or preset.motion.speed, mean_leg=config.mean_leg or preset.motion.mean_leg),
+        ranges=Ranges(detection=detection, communication=communication),
+        biobots=biobots,
+        landmarks=landmarks,
+        dispersion_s=preset.dispersion_s if config.dispersion_s is None else config.dispersion_s,
+        duration_s=config.duration_s or preset.duration_s,
+        seed=config.seed,
+    )
+    _check_extent(setting)
+    return setting
+
+
+def _check_extent(setting: Setting) -> None:
+    arena, unit = setting.arena, setting.unit
+    if arena.margin > 1e-3 * setting.ranges.detection:
+        raise ParameterError(
+            name="detection radius",
+            got=setting.ranges.detection,
+            wanted=f"at least {1e3 * arena.margin:g} {unit} in an arena of this extent; are arena and preset in the same unit of length?",
+        )
+    # Mean distance between walls is pi A / P for straight isotropic paths.
+    walls = float(arena.polygon.length) / (math.pi * arena.area)
+    legs = (1.0 / setting.motion.mean_leg + walls) * setting.motion.speed * (setting.dispersion_s + setting.duration_s) * setting.biobots
+    if legs > _MAX_LEGS:
+        raise ParameterError(
+            name="number of legs to walk",
+            got=round(legs),
+            wanted=f"at most {_MAX_LEGS}: take fewer biobots or less time, or check that arena and preset ({unit}) share a unit of length",
+        )
+    if setting.expected_encounters > _MAX_ENCOUNTERS:
+        raise ParameterError(
+            name="number of encounters to expect",
+            got=round(setting.expected_encounters),
+            wanted=f"at most {_MAX_ENCOUNTERS}: take fewer biobots, less time, a smaller radius or a larger arena",
+        )

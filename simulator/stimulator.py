@@ -1,0 +1,124 @@
+"""The part of a backpack's firmware that obeys commands: once each, in time, within limits, no longer than asked (WIRE_FORMAT.md §6.5)."""
+
+from collections import OrderedDict, deque
+from dataclasses import dataclass, field
+
+from firmware_protocol.messages import Action, Stimulate, StimulationResult, WireCause, WireMode
+
+# Pulse limits of this model. Frequency and duration: the RoboRoach firmware's maxima (github.com/BackyardBrains/RoboRoach,
+# StimulusGenerator.c). Amplitude: the largest tried on hissing cockroaches by Erickson et al., PLoS ONE 2015.
+MAX_FREQUENCY_HZ = 150
+MAX_AMPLITUDE_MV = 4_000
+MAX_DURATION_MS = 1_000
+
+_MAX_QUEUED = 4
+_MAX_REMEMBERED = 32
+_US_PER_S = 1_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Actuation:
+    """What the insect is made to do: stand still (S) or walk (CRW), by a command, or (None) because its hold is over."""
+
+    mode: WireMode
+    cause: WireCause
+    command: int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What became of a command; ``actuation`` is None where the insect was left alone, ``command`` where a hold ended."""
+
+    command: int | None
+    result: StimulationResult
+    decided_ms: int
+    actuation: Actuation | None = None
+
+
+@dataclass(slots=True, kw_only=True)
+class Stimulator:
+    """Decides on commands.
+
+    A stop is executed at once, whatever runs or waits and whatever its pulse parameters (unfit ones stop the insect without a
+    train): what waits behind it is answered EXPIRED. Any other command waits while a pulse train runs, at most four of them, and is
+    refused if it waits longer than its time to live. Turns are answered BAD_PARAMETER: this model's insects cannot be steered.
+    The last 32 commands are remembered, so that a repetition is answered and not obeyed.
+    """
+
+    _known: OrderedDict[int, Outcome] = field(default_factory=OrderedDict)
+    _queue: deque[tuple[Stimulate, int]] = field(default_factory=deque)
+    _train_until_ms: int = 0
+    _hold_until_ms: int | None = None
+
+    def submit(self, command: Stimulate, *, now_ms: int) -> list[Outcome]:
+        """Take a command that has just arrived; return what is decided by now."""
+        known = self._known.get(command.command)
+        if known is not None:
+            was_done = known.result is StimulationResult.DONE
+            result = StimulationResult.ALREADY_DONE if was_done else known.result
+            return [Outcome(command=command.command, result=result, decided_ms=known.decided_ms)]
+        if command.action is Action.STOP:
+            overtaken = [self._decide(one, StimulationResult.EXPIRED, now_ms=now_ms) for one, _ in self._queue]
+            self._queue.clear()
+            return [*overtaken, self._execute(command, now_ms=now_ms)]
+        if any(one.command == command.command for one, _ in self._queue):
+            return []  # its answer will come when it is decided
+        if command.action is not Action.START or not _is_fit(command):
+            return [self._decide(command, StimulationResult.BAD_PARAMETER, now_ms=now_ms)]
+        if len(self._queue) >= _MAX_QUEUED:
+            return [self._decide(command, StimulationResult.REFUSED_LIMIT, now_ms=now_ms)]
+        self._queue.append((command, now_ms))
+        return self.poll(now_ms=now_ms)
+
+    def poll(self, *, now_ms: int) -> list[Outcome]:
+        """Do what is due: end a hold, execute or refuse what waited."""
+        outcomes = []
+        if self._hold_until_ms is not None and now_ms >= self._hold_until_ms:
+            release = Actuation(mode=WireMode.CRW, cause=WireCause.NATURAL, command=None)
+            outcomes.append(Outcome(command=None, result=StimulationResult.DONE, decided_ms=now_ms, actuation=release))
+            self._hold_until_ms = None
+        kept: deque[tuple[Stimulate, int]] = deque()
+        while self._queue:
+            command, received_ms = self._queue.popleft()
+            if now_ms - received_ms > command.ttl_ms:
+                outcomes.append(self._decide(command, StimulationResult.EXPIRED, now_ms=now_ms))
+            elif now_ms >= self._train_until_ms:
+                outcomes.append(self._execute(command, now_ms=now_ms))
+            else:
+                kept.append((command, received_ms))
+        self._queue = kept
+        return outcomes
+
+    def next_due_ms(self) -> int | None:
+        """Return when ``poll`` has something to do, or None."""
+        dues = [min(self._train_until_ms, received_ms + command.ttl_ms + 1) for command, received_ms in self._queue]
+        if self._hold_until_ms is not None:
+            dues.append(self._hold_until_ms)
+        return min(dues, default=None)
+
+    def _execute(self, command: Stimulate, *, now_ms: int) -> Outcome:
+        self._train_until_ms = now_ms + (command.duration_ms if _is_fit(command) else 0)
+        self._hold_until_ms = now_ms + command.hold_ms if command.hold_ms else None
+        mode = WireMode.S if command.action is Action.STOP else WireMode.CRW
+        actuation = Actuation(mode=mode, cause=WireCause.COMMAND, command=command.command)
+        return self._decide(command, StimulationResult.DONE, now_ms=now_ms, actuation=actuation)
+
+    def _decide(self, command: Stimulate, result: StimulationResult, *, now_ms: int, actuation: Actuation | None = None) -> Outcome:
+        outcome = Outcome(command=command.command, result=result, decided_ms=now_ms, actuation=actuation)
+        self._known[command.command] = outcome
+        if len(self._known) > _MAX_REMEMBERED:
+            self._known.popitem(last=False)
+        return outcome
+
+
+def _is_fit(command: Stimulate) -> bool:
+    if command.duration_ms == 0:
+        return True  # no train at all
+    # A bipolar pulse, both phases counted in its width, must fit into one period.
+    fits_period = 0 < command.pulse_width_us * command.frequency_hz <= _US_PER_S
+    return (
+        fits_period
+        and command.frequency_hz <= MAX_FREQUENCY_HZ
+        and command.amplitude_mv <= MAX_AMPLITUDE_MV
+        and command.duration_ms <= MAX_DURATION_MS
+    )
