@@ -1,0 +1,166 @@
+"""Command line of the mapper: ``run`` makes a map of a file, ``serve`` keeps one up to date for an operator."""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+from firmware_protocol.errors import ConfigurationError
+from mapper.config import load_mapper_config, make_recipe
+from mapper.errors import MapError, OutputFileError, TooFewEncountersError
+from mapper.types import MapResult, Method, MetricKind
+
+_MAX_ID = 2**63 - 1
+_EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    parser = _make_parser(with_serve="serve" in given)
+    args = parser.parse_args(given)
+    try:
+        status = _dispatch(args, parser)
+        sys.stdout.flush()
+    except ConfigurationError as error:
+        return _complain(error.problems, status=_EXIT_USAGE)
+    except MapError as error:
+        return _complain(str(error).splitlines(), status=_EXIT_FAILED)
+    except BrokenPipeError:
+        # Whoever read our output is gone; keep the interpreter from complaining about it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _EXIT_FAILED
+    except KeyboardInterrupt:
+        return _EXIT_INTERRUPTED
+    return status
+
+
+def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    if args.check_config:
+        load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
+        print(f"{args.config or 'defaults and environment'}: the configuration is valid")
+        return 0
+    if args.command == "run":
+        return _run(args, parser)
+    if args.command == "serve":
+        from mapper.service import main as serve  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
+
+        return serve(args)
+    parser.print_usage(sys.stderr)
+    return _complain(["give a command: run or serve"], status=_EXIT_USAGE)
+
+
+def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    if args.encounters is None:
+        parser.error("run: give the CSV file of encounters")
+    config = load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
+    # numpy and scipy take half a second: usage errors and --help do not wait for them.
+    from mapper.encounter_csv import read_encounters, read_modes  # noqa: PLC0415
+    from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415
+    from mapper.window import absent_biobots, stationary_spells  # noqa: PLC0415
+
+    table = read_encounters(args.encounters)
+    if len(table) < MIN_ENCOUNTERS:
+        raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=str(args.encounters))
+    spells = read_modes(args.modes) if args.modes is not None else ()
+    stationary = args.stationary or ()
+    absent = absent_biobots(table, stationary)
+    result = compute_map(table, (*spells, *stationary_spells(table, stationary)), make_recipe(config.recipe))
+    if absent:
+        warning = f"stationary biobots {', '.join(map(str, absent))} are in no encounter"
+        result = replace(result, warnings=(*result.warnings, warning))
+    for warning in result.warnings:
+        print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
+    _write_outputs(result, args)
+    return 0
+
+
+def _write_outputs(result: MapResult, args: argparse.Namespace) -> None:
+    from mapper.render import render_map  # noqa: PLC0415  # see _run
+    from mapper.report import summarize, to_json_object  # noqa: PLC0415  # see _run
+
+    if args.svg is not None:
+        _write(args.svg, render_map(result, image_format="svg"))
+    if args.png is not None:
+        _write(args.png, render_map(result, image_format="png"))
+    if args.json is None:
+        print(summarize(result))
+        return
+    text = json.dumps(to_json_object(result), allow_nan=False) + "\n"
+    if args.json == Path("-"):
+        sys.stdout.write(text)
+    else:
+        _write(args.json, text.encode())
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.write_bytes(content)
+    except (OSError, ValueError) as error:
+        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else str(error)
+        raise OutputFileError(path=str(path), reason=reason) from error
+
+
+def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
+    about = "From encounters between walking biobots to a map of the space they walked."
+    parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
+    _add_common(parser, default=None)
+    commands = parser.add_subparsers(dest="command", metavar="{run,serve}")
+    run = commands.add_parser("run", help="make a map of a CSV file", description="Make a map of a CSV file of encounters.")
+    _add_common(run, default=argparse.SUPPRESS)
+    _add_run_arguments(run)
+    serve = commands.add_parser("serve", help="keep a live map and serve it", description="Keep a live map and serve it over HTTP.")
+    _add_common(serve, default=argparse.SUPPRESS)
+    if with_serve:
+        from mapper.service import add_arguments  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
+
+        add_arguments(serve)
+    return parser
+
+
+def _add_common(parser: argparse.ArgumentParser, *, default: str | None) -> None:
+    """Add the options of every command; on a command they default to nothing, so as not to undo those given before it."""
+    parser.add_argument("--version", action="version", version=f"%(prog)s {version('biobot-gateway')}")
+    parser.add_argument("--config", type=Path, metavar="FILE.toml", default=default, help="read the configuration from this file")
+    check = argparse.SUPPRESS if default is not None else False
+    parser.add_argument("--check-config", action="store_true", default=check, help="only check the configuration, then exit")
+
+
+def _add_run_arguments(run: argparse.ArgumentParser) -> None:
+    run.add_argument("encounters", type=Path, nargs="?", help="CSV with the columns t_start_s,t_end_s,id1,id2")
+    run.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
+    run.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
+    run.add_argument("--speed-mps", type=float, metavar="V", help="walking speed [m/s]: lengths are then metres, else seconds")
+    run.add_argument("--method", choices=[str(method) for method in Method], help="the whole recipe (default: default)")
+    run.add_argument(
+        "--metric", choices=[str(metric) for metric in MetricKind], help="how encounters are compared (default: by the method)"
+    )
+    run.add_argument("--json", type=Path, metavar="FILE", help="write the map as JSON; - is standard output")
+    run.add_argument("--svg", type=Path, metavar="FILE", help="write a picture")
+    run.add_argument("--png", type=Path, metavar="FILE", help="write a picture")
+
+
+def _recipe_flags(args: argparse.Namespace) -> dict[str, object]:
+    return {f"recipe.{name}": getattr(args, name, None) for name in ("method", "metric", "speed_mps")}
+
+
+def _ids(text: str) -> tuple[int, ...]:
+    parts = [part.strip() for part in text.split(",")]
+    wrong = [part for part in parts if not (part.isascii() and part.isdigit() and len(part) <= len(str(_MAX_ID)) and int(part) <= _MAX_ID)]
+    if wrong:
+        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is no id; wanted whole numbers from 0 to 2^63-1, as 3,17,20")
+    return tuple(int(part) for part in parts)
+
+
+def _complain(lines: Sequence[str], *, status: int) -> int:
+    for line in lines:
+        print(f"biobot-mapper: error: {line}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

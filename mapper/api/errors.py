@@ -1,0 +1,107 @@
+"""One table: exception class to HTTP status; and the form of every error, ``application/problem+json`` (RFC 9457)."""
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Final
+
+import msgspec
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+
+from mapper.errors import (
+    BiobotNotFoundError,
+    CommandNotFoundError,
+    CommandRefusedError,
+    GatewayAwayError,
+    JobError,
+    MapError,
+    NoMapYetError,
+    StoreError,
+    TooManyError,
+    WorkerDiedError,
+)
+
+PROBLEM_TYPE: Final = "application/problem+json"
+
+STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
+    BiobotNotFoundError: HTTPStatus.NOT_FOUND,
+    CommandNotFoundError: HTTPStatus.NOT_FOUND,
+    CommandRefusedError: HTTPStatus.CONFLICT,
+    TooManyError: HTTPStatus.TOO_MANY_REQUESTS,
+    NoMapYetError: HTTPStatus.SERVICE_UNAVAILABLE,
+    GatewayAwayError: HTTPStatus.SERVICE_UNAVAILABLE,
+    WorkerDiedError: HTTPStatus.SERVICE_UNAVAILABLE,
+    StoreError: HTTPStatus.SERVICE_UNAVAILABLE,
+    JobError: HTTPStatus.INTERNAL_SERVER_ERROR,
+}
+
+_RETRY_AFTER_S: Final[Mapping[type[MapError], int]] = {
+    NoMapYetError: 1,
+    WorkerDiedError: 1,
+    TooManyError: 1,
+    GatewayAwayError: 5,
+    StoreError: 5,
+}
+_MAX_SHOWN_FAULTS: Final = 10
+
+
+def problem(
+    status: HTTPStatus, *, detail: str, headers: Mapping[str, str] | None = None, facts: Mapping[str, object] | None = None
+) -> Response:
+    """Make the answer that tells an error: title and status, ``detail`` for a person, and facts for a program."""
+    body = {"type": "about:blank", "title": status.phrase, "status": status.value, "detail": detail, **(facts or {})}
+    fields = {"Cache-Control": "no-store", **(headers or {})}
+    return Response(msgspec.json.encode(body), status_code=status, media_type=PROBLEM_TYPE, headers=fields)
+
+
+def add_error_handlers(app: FastAPI) -> None:
+    """Answer every error as a problem."""
+    app.add_exception_handler(MapError, _on_map_error)
+    app.add_exception_handler(RequestValidationError, _on_invalid_request)
+    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(Exception, _on_unforeseen)
+
+
+async def _on_map_error(request: Request, error: Exception) -> Response:
+    if not isinstance(error, MapError):
+        return await _on_unforeseen(request, error)
+    status = STATUS_OF.get(type(error), HTTPStatus.INTERNAL_SERVER_ERROR)
+    retry_after_s = _RETRY_AFTER_S.get(type(error))
+    headers = {} if retry_after_s is None else {"Retry-After": str(retry_after_s)}
+    facts: dict[str, object] = {}
+    match error:
+        case NoMapYetError():
+            facts = {"state": "waiting", "n_encounters": error.n_encounters, "minimum": error.minimum}
+        case CommandRefusedError():
+            facts = {"command_id": error.command_id, "outcome": "refused", "reason": error.reason}
+        case GatewayAwayError():
+            facts = {"command_id": error.command_id, "outcome": "undelivered"}
+    return problem(status, detail=str(error), headers=headers, facts=facts)
+
+
+async def _on_invalid_request(_request: Request, error: Exception) -> Response:
+    faults = [_describe(fault) for fault in error.errors()] if isinstance(error, RequestValidationError) else [str(error)]
+    shown = faults[:_MAX_SHOWN_FAULTS]
+    return problem(HTTPStatus.UNPROCESSABLE_ENTITY, detail="; ".join(shown), facts={"faults": shown})
+
+
+async def _on_http_exception(request: Request, error: Exception) -> Response:
+    if not isinstance(error, HTTPException):
+        return await _on_unforeseen(request, error)
+    status = HTTPStatus(error.status_code)
+    detail = str(error.detail)
+    if detail == status.phrase:
+        detail = f"{request.method} {request.url.path}: {status.description or status.phrase}; /openapi.json describes what there is"
+    return problem(status, detail=detail, headers=error.headers)
+
+
+async def _on_unforeseen(_request: Request, _error: Exception) -> Response:
+    return problem(HTTPStatus.INTERNAL_SERVER_ERROR, detail="an unforeseen error; its details are in the mapper's log")
+
+
+def _describe(fault: Mapping[str, object]) -> str:
+    # The value itself is not repeated: it may be long, or no valid text.
+    place = fault.get("loc")
+    where = ".".join(str(part) for part in place) if isinstance(place, tuple) else "request"
+    return f"{where}: {fault.get('msg')}"

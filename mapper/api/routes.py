@@ -1,0 +1,234 @@
+"""The endpoints under ``/api/v1``, and those that watch the process.
+
+Answers are bytes made once for a version of the map, or small objects; no large one passes through a model. Before the
+first map the map's endpoints answer 503 with what is awaited and ``Retry-After``. A command is answered when it has ended: 200 with the
+gateway's stages and the outcome, 409 when the gateway refused it, 503 when there is no gateway to give it to.
+"""
+
+import time
+from http import HTTPStatus
+from typing import Annotated, Any, Final
+
+from fastapi import APIRouter, Query, Request, Response
+
+from firmware_protocol.contract.records import StimulationAction
+from firmware_protocol.units import NodeId
+from mapper.api.errors import PROBLEM_TYPE
+from mapper.api.event_stream import EventStream
+from mapper.api.schemas import (
+    BiobotList,
+    CommandBody,
+    CommandId,
+    CommandList,
+    CommandView,
+    DiagramView,
+    EncounterList,
+    HealthView,
+    MapView,
+    MissionView,
+    Problem,
+    ReadyView,
+)
+from mapper.api.services import Services
+from mapper.api.views import (
+    JSON_TYPE,
+    json_response,
+    versioned_response,
+    view_biobot,
+    view_command,
+    view_encounter,
+    view_gateway,
+    view_mission,
+)
+from mapper.commands import Outcome
+from mapper.errors import CommandRefusedError, GatewayAwayError
+from mapper.store import Store
+
+_SUMMARIES: Final = {
+    HTTPStatus.FORBIDDEN: "A page of another site asked for it",
+    HTTPStatus.NOT_FOUND: "Unknown here",
+    HTTPStatus.CONFLICT: "The gateway refused the command",
+    HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "The body is too large",
+    HTTPStatus.UNPROCESSABLE_ENTITY: "The request is malformed",
+    HTTPStatus.TOO_MANY_REQUESTS: "Too much at the same time",
+    HTTPStatus.SERVICE_UNAVAILABLE: "Not now: try again after Retry-After",
+    HTTPStatus.INTERNAL_SERVER_ERROR: "A computation failed",
+    HTTPStatus.BAD_REQUEST: "The body is no JSON",
+}
+_MAP_PROBLEMS: Final = (HTTPStatus.SERVICE_UNAVAILABLE,)
+_PICTURE_PROBLEMS: Final = (HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.INTERNAL_SERVER_ERROR)
+_COMMAND_PROBLEMS: Final = (
+    HTTPStatus.BAD_REQUEST,
+    HTTPStatus.FORBIDDEN,
+    HTTPStatus.NOT_FOUND,
+    HTTPStatus.CONFLICT,
+    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    HTTPStatus.UNPROCESSABLE_ENTITY,
+    HTTPStatus.TOO_MANY_REQUESTS,
+    HTTPStatus.SERVICE_UNAVAILABLE,
+)
+_MAX_CURSOR: Final = 2**63 - 1
+
+
+def make_router(services: Services, stream: EventStream) -> APIRouter:
+    """Make all endpoints."""
+    router = APIRouter()
+    _add_map_routes(router, services)
+    _add_record_routes(router, services)
+    _add_command_routes(router, services)
+    _add_watch_routes(router, services, stream)
+    return router
+
+
+def _add_map_routes(router: APIRouter, services: Services) -> None:
+    @router.get("/api/v1/map", tags=["map"], responses=_answers(MapView, _MAP_PROBLEMS, is_versioned=True))
+    async def get_map(request: Request) -> Response:
+        """Return the newest finished map: points, Rips complex, holes, intervals, landmarks."""
+        snapshot = services.current_map.require()
+        return versioned_response(request, snapshot.map_json, etag=snapshot.etag, media_type=JSON_TYPE)
+
+    @router.get("/api/v1/diagram", tags=["map"], responses=_answers(DiagramView, _MAP_PROBLEMS, is_versioned=True))
+    async def get_diagram(request: Request) -> Response:
+        """Return the persistence diagram of the newest finished map."""
+        snapshot = services.current_map.require()
+        return versioned_response(request, snapshot.diagram_json, etag=snapshot.etag, media_type=JSON_TYPE)
+
+    @router.get("/api/v1/map.svg", tags=["map"], responses=_answers("image/svg+xml", _PICTURE_PROBLEMS, is_versioned=True))
+    async def get_map_svg(request: Request) -> Response:
+        """Draw the newest finished map as SVG."""
+        snapshot, picture = await services.current_map.picture("svg")
+        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/svg+xml")
+
+    @router.get("/api/v1/map.png", tags=["map"], responses=_answers("image/png", _PICTURE_PROBLEMS, is_versioned=True))
+    async def get_map_png(request: Request) -> Response:
+        """Draw the newest finished map as PNG."""
+        snapshot, picture = await services.current_map.picture("png")
+        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/png")
+
+
+def _add_record_routes(router: APIRouter, services: Services) -> None:
+    @router.get("/api/v1/biobots", tags=["biobots"], responses=_answers(BiobotList))
+    async def get_biobots() -> Response:
+        """List all biobots and gateways with their last known state."""
+        now_ns = time.monotonic_ns()
+        return json_response(
+            {
+                "now_wall_ns": time.time_ns(),
+                "gateways": [view_gateway(view) for view in services.fleet.gateways(now_ns=now_ns)],
+                "biobots": [view_biobot(view) for view in services.fleet.biobots(now_ns=now_ns)],
+            }
+        )
+
+    @router.get("/api/v1/encounters", tags=["records"], responses=_answers(EncounterList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
+    async def get_encounters(
+        after: Annotated[int, Query(ge=0, le=_MAX_CURSOR, description="The cursor of the page before")] = 0,
+        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    ) -> Response:
+        """List encounters in the order in which they were last changed; a void one was a part of another and counts no more."""
+        page = await services.records.call(Store.encounters, after=after, limit=limit)
+        return json_response(
+            {
+                "encounters": [view_encounter(record) for record in page.records],
+                "cursor": page.cursor,
+                "next": page.cursor if page.has_more else None,
+            }
+        )
+
+    @router.get("/api/v1/mission", tags=["records"], responses=_answers(MissionView))
+    async def get_mission() -> Response:
+        """Return the phases of the mission."""
+        return json_response(view_mission(await services.records.call(Store.missions)))
+
+
+def _add_command_routes(router: APIRouter, services: Services) -> None:
+    @router.post("/api/v1/commands", tags=["commands"], responses=_answers(CommandView, _COMMAND_PROBLEMS))
+    async def post_command(body: CommandBody) -> Response:
+        """Give a command and wait for its end; the same ``id`` again gives it once and answers the same.
+
+        Outcome ``biobot_confirmed``: done. ``failed``: it did not reach the biobot, or was not carried out. ``unknown``: nobody can tell.
+        """
+        command = await services.commands.submit(
+            node=NodeId(int(body.biobot)),
+            action=StimulationAction(body.action),
+            operator=body.operator,
+            ttl_ms=body.ttl_ms,
+            hold_ms=body.hold_ms,
+            command_id=body.id,
+        )
+        if command.outcome is Outcome.REFUSED:
+            raise CommandRefusedError(command_id=command.request.command_id, reason=command.reason)
+        if command.outcome is Outcome.UNDELIVERED:
+            raise GatewayAwayError(command_id=command.request.command_id, gateway=command.gateway)
+        return json_response(view_command(command))
+
+    @router.get("/api/v1/commands", tags=["commands"], responses=_answers(CommandList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
+    async def get_commands(limit: Annotated[int, Query(ge=1, le=1000)] = 50) -> Response:
+        """List the newest commands given here since the start."""
+        return json_response({"commands": [view_command(command) for command in services.commands.recent(limit=limit)]})
+
+    @router.get(
+        "/api/v1/commands/{command_id}",
+        tags=["commands"],
+        responses=_answers(CommandView, (HTTPStatus.NOT_FOUND, HTTPStatus.UNPROCESSABLE_ENTITY)),
+    )
+    async def get_command(command_id: CommandId) -> Response:
+        """Return one command as it stands."""
+        return json_response(view_command(services.commands.get(command_id)))
+
+
+def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream) -> None:
+    @router.get("/api/v1/events", tags=["watch"], responses=_answers("text/event-stream", (HTTPStatus.TOO_MANY_REQUESTS,)))
+    async def get_events() -> Response:
+        """Tell of changes as server-sent events: the version numbers of map, records, biobots, commands and mission, the newest only."""
+        return stream.open()
+
+    @router.get("/healthz", tags=["watch"], responses=_answers(HealthView))
+    async def get_health() -> Response:
+        """Say that the process answers, and what it has counted."""
+        latest = services.current_map.latest
+        return json_response(
+            {
+                "status": "ok",
+                "wall_ns": time.time_ns(),
+                "n_encounters": await services.records.call(lambda store: store.n_encounters),
+                "map_version": latest.version if latest else None,
+                "waiting": None if latest else str(services.current_map.waiting_for),
+                "counters": services.counters(),
+                "faults": services.faults(),
+            }
+        )
+
+    @router.get("/readyz", tags=["watch"], responses=_answers(ReadyView) | {503: {"model": ReadyView, "description": "Not connected"}})
+    async def get_readiness() -> Response:
+        """Say whether the bus is joined: 200 if a gateway or router is connected, 503 if not."""
+        is_connected = services.is_connected()
+        latest = services.current_map.latest
+        gateways = services.fleet.gateways(now_ns=time.monotonic_ns())
+        document = {
+            "is_ready": is_connected,
+            "is_connected": is_connected,
+            "n_gateways_alive": sum(view.is_alive for view in gateways),
+            "map_version": latest.version if latest else None,
+        }
+        return json_response(document, status=HTTPStatus.OK if is_connected else HTTPStatus.SERVICE_UNAVAILABLE)
+
+
+def _answers(content: type | str, problems: tuple[HTTPStatus, ...] = (), *, is_versioned: bool = False) -> dict[int | str, dict[str, Any]]:
+    """Describe an endpoint's answers: a model or a media type, and the errors it may tell."""
+    fine: dict[str, Any] = {"description": "The newest state"}
+    if isinstance(content, str):
+        kind = {"type": "string"} if content.startswith("text/") else {"type": "string", "format": "binary"}
+        fine["content"] = {content: {"schema": kind}}
+    else:
+        fine["model"] = content
+    answers: dict[int | str, dict[str, Any]] = {200: fine}
+    if is_versioned:
+        answers[304] = {"description": "The client has this version (If-None-Match)"}
+    for status in problems:
+        schema = {"$ref": f"#/components/schemas/{Problem.__name__}"}
+        answers[int(status)] = {"description": _SUMMARIES[status], "content": {PROBLEM_TYPE: {"schema": schema}}}
+    answers[421] = {
+        "description": "The service is called by a name that is not its own",
+        "content": {PROBLEM_TYPE: {"schema": {"$ref": f"#/components/schemas/{Problem.__name__}"}}},
+    }
+    return answers

@@ -1,0 +1,265 @@
+"""What JSON looks like: bodies that come in are checked against these, answers are described by them in the OpenAPI document."""
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+_MAX_NODE = 2**64 - 1
+
+CommandId = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9._-]+$")]
+Interval = Annotated[list[float | None], Field(min_length=2, max_length=2, description="[birth, death]; death null: never")]
+Place = Annotated[list[float], Field(min_length=2, max_length=2, description="[x, y] in map coordinates")]
+
+
+def _check_node(text: str) -> str:
+    if int(text) > _MAX_NODE:
+        raise ValueError(f"is more than {_MAX_NODE}, the highest id")
+    return text
+
+
+NodeNumber = Annotated[int, Field(ge=0, le=_MAX_NODE)]
+NodeText = Annotated[str, Field(pattern=r"^[0-9]{1,20}$"), AfterValidator(_check_node)]
+
+
+class _Answer(BaseModel):
+    """An answer may have more fields than are described: clients ignore what they do not know."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class CommandBody(BaseModel):
+    """A command to one biobot."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    biobot: NodeNumber | NodeText = Field(description="Its id, as a number or as a decimal string (a program may not hold 64-bit numbers)")
+    action: Literal["start", "stop", "turn_left", "turn_right"]
+    operator: str = Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$", description="Who gives the command, for the record")
+    ttl_ms: int = Field(default=5_000, ge=1, le=60_000, description="Not carried out later than this after now")
+    hold_ms: int = Field(default=0, ge=0, le=3_600_000, description="The biobot ends the command by itself after this; 0: never")
+    id: CommandId | None = Field(default=None, description="Repeat a request under the same id, and the command is given once")
+
+
+class Problem(_Answer):
+    """An error (RFC 9457)."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+
+
+class StageView(_Answer):
+    """One answer of the gateway."""
+
+    stage: Literal["accepted", "radio_confirmed", "biobot_confirmed", "refused", "failed", "unknown"]
+    wall_ns: int
+    reason: str
+    mode: Literal["CRW", "S"] | None
+
+
+class CommandView(_Answer):
+    """A command and what became of it; ``outcome`` null: under way."""
+
+    id: str
+    biobot: int
+    gateway: str
+    action: str
+    operator: str
+    issued_wall_ns: int
+    ttl_ms: int
+    hold_ms: int
+    stages: list[StageView]
+    outcome: Literal["biobot_confirmed", "refused", "failed", "unknown", "undelivered"] | None
+    reason: str
+
+
+class CommandList(_Answer):
+    """The newest commands, newest first."""
+
+    commands: list[CommandView]
+
+
+class GatewayItem(_Answer):
+    """A gateway."""
+
+    name: str
+    is_alive: bool
+    radios: dict[str, str]
+    counters: dict[str, int]
+
+
+class BiobotItem(_Answer):
+    """A biobot; null where nobody has said it yet."""
+
+    id: int
+    key: str = Field(description="The id as text, for programs that cannot hold 64-bit numbers")
+    gateway: str
+    is_reachable: bool
+    mode: Literal["CRW", "S"]
+    cause: Literal["command", "natural"]
+    is_landmark: bool
+    radio: str | None
+    battery_mv: int | None
+    rssi_dbm: int | None
+    lqi: int | None
+    last_heard_wall_ns: int | None
+    buffered: int | None
+    dropped: int | None
+    firmware: int | None
+    n_neighbours: int | None
+    n_encounters: int
+
+
+class BiobotList(_Answer):
+    """All biobots and gateways; ``now_wall_ns`` is this service's clock."""
+
+    now_wall_ns: int
+    gateways: list[GatewayItem]
+    biobots: list[BiobotItem]
+
+
+class EncounterItem(_Answer):
+    """An encounter in its newest revision; instants are on the wall clock [ns since 1970, UTC]."""
+
+    gateway: str
+    boot: int
+    sequence: int
+    revision: int
+    node_a: int
+    node_b: int
+    t_start_wall_ns: int
+    t_end_wall_ns: int
+    error_ns: int
+    is_reciprocal: bool
+    is_ongoing: bool
+    is_void: bool
+
+
+class EncounterList(_Answer):
+    """Encounters in the order in which they were last changed; ``next`` is the cursor for what follows, null at the end."""
+
+    encounters: list[EncounterItem]
+    cursor: int = Field(description="Ask with after=cursor later to get what has changed since, corrections too")
+    next: int | None
+
+
+class MissionPhaseItem(_Answer):
+    """A phase that began."""
+
+    gateway: str
+    phase: Literal["idle", "dispersion", "landmark_selection", "exploration", "done"]
+    t_start_wall_ns: int
+    landmarks: list[int]
+    reason: str
+
+
+class MissionView(_Answer):
+    """The phases of all missions, and the newest one."""
+
+    phase: MissionPhaseItem | None
+    phases: list[MissionPhaseItem]
+
+
+class PointItem(_Answer):
+    """An encounter of the subsample, placed; ``t`` in seconds since 1970."""
+
+    x: float
+    y: float
+    t: float
+    id1: int
+    id2: int
+    component: int
+
+
+class HoleItem(_Answer):
+    """A hole called real."""
+
+    outline: list[Place]
+    points: list[int]
+    birth: float
+    death: float
+    component: int
+    confidence: float | None
+
+
+class LandmarkItem(_Answer):
+    """Where a landmark stood."""
+
+    id: int
+    x: float
+    y: float
+    component: int
+
+
+class ComplexView(_Answer):
+    """The Rips complex at the drawn scale, as indices of points."""
+
+    edges: list[list[int]]
+    triangles: list[list[int]]
+
+
+class MapView(_Answer):
+    """The map; lengths in ``parameters.length_unit``."""
+
+    version: int
+    computed_wall_ns: int
+    computing_s: float
+    betti_numbers: list[int]
+    intervals: dict[str, list[Interval]]
+    points: list[PointItem]
+    holes: list[HoleItem]
+    landmarks: list[LandmarkItem]
+    complex: ComplexView
+    components: list[dict[str, object]]
+    n_components: int
+    diameter: float
+    n_encounters: int
+    n_used: int
+    lost_spectrum: float
+    since_s: float | None = Field(description="The moment the landmarks were set [s since 1970]; null: no mission did that")
+    n_before: int = Field(description="Encounters that were over by then, and are left out")
+    last_encounter_s: float
+    parameters: dict[str, object]
+    warnings: list[str]
+
+
+class DiagramInterval(_Answer):
+    """One interval; ``is_real``: it counts in the Betti number."""
+
+    birth: float
+    death: float | None
+    component: int
+    is_real: bool
+
+
+class DiagramView(_Answer):
+    """The persistence diagram by dimension."""
+
+    version: int
+    betti_numbers: list[int]
+    intervals: dict[str, list[DiagramInterval]]
+    diameter: float
+    length_unit: str
+    n_encounters: int
+
+
+class HealthView(_Answer):
+    """The process answers; counters since its start."""
+
+    status: Literal["ok"]
+    wall_ns: int
+    n_encounters: int
+    map_version: int | None
+    waiting: str | None = Field(description="What the first map is waiting for; null when there is one")
+    counters: dict[str, int]
+    faults: list[str]
+
+
+class ReadyView(_Answer):
+    """Whether the service can do its work: it is connected to the bus."""
+
+    is_ready: bool
+    is_connected: bool
+    n_gateways_alive: int
+    map_version: int | None

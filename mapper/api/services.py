@@ -1,0 +1,24 @@
+"""What the endpoints look at; they own none of it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from mapper.changes import Changes
+from mapper.commands import CommandDesk
+from mapper.current_map import CurrentMap
+from mapper.fleet import Fleet
+from mapper.store_thread import StoreThread
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Services:
+    """The parts of the mapper that answer requests. ``faults`` and ``counters`` are asked for anew each time."""
+
+    records: StoreThread
+    fleet: Fleet
+    current_map: CurrentMap
+    commands: CommandDesk
+    changes: Changes
+    is_connected: Callable[[], bool]
+    counters: Callable[[], Mapping[str, int]]
+    faults: Callable[[], list[str]]

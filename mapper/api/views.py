@@ -1,0 +1,123 @@
+"""From the mapper's values to the JSON objects that ``schemas`` describes."""
+
+from collections.abc import Iterable
+
+import msgspec
+from fastapi import Request, Response
+
+from firmware_protocol.contract.records import EncounterRecord, GatewayStatus, MissionRecord
+from mapper.commands import Command
+from mapper.fleet import BiobotView, GatewayView
+
+JSON_TYPE = "application/json"
+
+_encoder = msgspec.json.Encoder()
+
+
+def json_response(value: object, *, status: int = 200, headers: dict[str, str] | None = None) -> Response:
+    """Encode a value that is fresh with every request."""
+    return Response(
+        _encoder.encode(value), status_code=status, media_type=JSON_TYPE, headers={"Cache-Control": "no-store", **(headers or {})}
+    )
+
+
+def versioned_response(request: Request, body: bytes, *, etag: str, media_type: str) -> Response:
+    """Answer with bytes made once for a version, or with 304 where the client has them (RFC 9110, 13.1.2)."""
+    headers = {"ETag": etag, "Cache-Control": "no-cache"}
+    if _matches(request.headers.get("if-none-match"), etag):
+        return Response(status_code=304, headers=headers)
+    return Response(body, media_type=media_type, headers=headers)
+
+
+def view_command(command: Command) -> dict[str, object]:
+    """Describe a command as it stands."""
+    request = command.request
+    return {
+        "id": request.command_id,
+        "biobot": request.node,
+        "gateway": command.gateway,
+        "action": request.action,
+        "operator": request.operator,
+        "issued_wall_ns": request.issued_wall_ns,
+        "ttl_ms": request.ttl_ms,
+        "hold_ms": request.hold_ms,
+        "stages": [
+            {"stage": stage.stage, "wall_ns": stage.wall_ns, "reason": stage.reason, "mode": stage.mode} for stage in command.stages
+        ],
+        "outcome": command.outcome,
+        "reason": command.reason,
+    }
+
+
+def view_gateway(view: GatewayView) -> dict[str, object]:
+    """Describe a gateway."""
+    status: GatewayStatus | None = view.status
+    return {
+        "name": view.name,
+        "is_alive": view.is_alive,
+        "radios": status.radios if status else {},
+        "counters": status.counters if status else {},
+    }
+
+
+def view_biobot(view: BiobotView) -> dict[str, object]:
+    """Describe a biobot."""
+    return {
+        "id": view.node,
+        "key": str(view.node),
+        "gateway": view.gateway,
+        "is_reachable": view.is_reachable,
+        "mode": view.mode,
+        "cause": view.cause,
+        "is_landmark": view.is_landmark,
+        "radio": view.radio,
+        "battery_mv": view.battery_mv,
+        "rssi_dbm": view.rssi_dbm,
+        "lqi": view.lqi,
+        "last_heard_wall_ns": view.last_heard_wall_ns,
+        "buffered": view.buffered,
+        "dropped": view.dropped,
+        "firmware": view.firmware,
+        "n_neighbours": view.n_neighbours,
+        "n_encounters": view.n_encounters,
+    }
+
+
+def view_encounter(record: EncounterRecord) -> dict[str, object]:
+    """Describe an encounter, its instants on the wall clock."""
+    return {
+        "gateway": record.gateway,
+        "boot": record.boot,
+        "sequence": record.sequence,
+        "revision": record.revision,
+        "node_a": record.node_a,
+        "node_b": record.node_b,
+        "t_start_wall_ns": record.t_start_ns + record.wall_anchor_ns,
+        "t_end_wall_ns": record.t_end_ns + record.wall_anchor_ns,
+        "error_ns": record.error_ns,
+        "is_reciprocal": record.is_reciprocal,
+        "is_ongoing": record.is_ongoing,
+        "is_void": record.is_void,
+    }
+
+
+def view_mission(records: Iterable[MissionRecord]) -> dict[str, object]:
+    """Describe all phases, in the order in which they began, and the newest."""
+    phases = [
+        {
+            "gateway": record.gateway,
+            "phase": record.phase,
+            "t_start_wall_ns": record.t_start_ns + record.wall_anchor_ns,
+            "landmarks": record.landmarks,
+            "reason": record.reason,
+        }
+        for record in records
+    ]
+    return {"phase": phases[-1] if phases else None, "phases": phases}
+
+
+def _matches(if_none_match: str | None, etag: str) -> bool:
+    if if_none_match is None:
+        return False
+    tags = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
+    return "*" in tags or etag in tags

@@ -1,0 +1,283 @@
+"""The mapper on Zenoh: what gateways publish comes in, history queries and commands go out (CONTRACT.md §2).
+
+Zenoh calls back on threads of its own. Callbacks only put bytes into a bounded inbox and wake the event loop once; decoding happens there.
+"""
+
+import asyncio
+import json
+import threading
+from collections import Counter, deque
+from collections.abc import AsyncGenerator
+from contextlib import aclosing, suppress
+from dataclasses import dataclass
+from typing import Any, Final, Self, TypeAlias
+
+import zenoh
+import zenoh.ext
+
+from firmware_protocol.contract.keys import ANY, Key, Stream, build_key, parse_key
+from firmware_protocol.contract.records import (
+    CommandStage,
+    GatewayEvent,
+    GatewayStatus,
+    HistoryRequest,
+    NeighbourReport,
+    NodeStatus,
+    RecordBatch,
+    StimulationRequest,
+    decode_record,
+    encode_record,
+)
+from firmware_protocol.errors import KeyExpressionError, RecordError
+from mapper.errors import BusError, QueryError
+from mapper.log import EventLog
+
+_log = EventLog(__name__)
+
+_MAX_INBOX_MESSAGES: Final = 20_000
+_MAX_INBOX_BYTES: Final = 64 * 2**20
+# Zenoh answers a query that nobody ends with this error (measured, eclipse-zenoh 1.10).
+_TIMEOUT_PAYLOAD: Final = b"Timeout"
+_DEADLINE_SLACK_S: Final = 2.0
+
+_JOURNALED: Final = (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Presence:
+    """A gateway came to the bus, or left it."""
+
+    gateway: str
+    is_alive: bool
+
+
+Arrival: TypeAlias = RecordBatch | GatewayStatus | NodeStatus | NeighbourReport | GatewayEvent | Presence
+
+
+class Bus:
+    """A Zenoh session of the mapper; made by `open`.
+
+    ``counters`` counts what was left out: ``overflow`` messages for which there was no room (history brings their records), ``unfit``
+    ones that are no records or come from another gateway than their key says.
+    """
+
+    def __init__(self, *, site: str, loop: asyncio.AbstractEventLoop) -> None:
+        self.counters: Counter[str] = Counter()
+        self._site = site
+        self._loop = loop
+        self._session: zenoh.Session
+        self._declared: list[Any] = []
+        self._lock = threading.Lock()
+        self._inbox: deque[tuple[str, bytes | bool]] = deque()
+        self._inbox_bytes = 0
+        self._has_arrivals = asyncio.Event()
+
+    @classmethod
+    async def open(cls, *, site: str, connect: tuple[str, ...], listen: tuple[str, ...]) -> Self:
+        """Join the bus as a peer; gateways and routers that are not there yet are connected to when they come.
+
+        Raises
+        ------
+        BusError
+            An endpoint cannot be understood, or cannot be listened on.
+        """
+        bus = cls(site=site, loop=asyncio.get_running_loop())
+        try:
+            config = _session_config(connect=connect, listen=listen)
+            bus._session = await asyncio.to_thread(zenoh.open, config)
+            await asyncio.to_thread(bus._declare)
+        except zenoh.ZError as error:
+            raise BusError(
+                reason=f"Zenoh refuses connect={list(connect)}, listen={list(listen)}: {_first_sentence(error)}",
+                next_step="give endpoints such as tcp/127.0.0.1:7447",
+            ) from error
+        return bus
+
+    async def aclose(self) -> None:
+        """Leave the bus."""
+        await asyncio.to_thread(self._session.close)
+
+    @property
+    def is_connected(self) -> bool:
+        """Say whether any gateway or router is connected."""
+        info = self._session.info
+        return bool(info.peers_zid() or info.routers_zid())
+
+    async def receive(self) -> list[Arrival]:
+        """Wait until something came in, and return all of it in order of arrival; what cannot be meant is counted and left out."""
+        await self._has_arrivals.wait()
+        with self._lock:
+            self._has_arrivals.clear()
+            raw, self._inbox = self._inbox, deque()
+            self._inbox_bytes = 0
+        arrivals = [arrival for key, payload in raw if (arrival := _decode(key, payload)) is not None]
+        self.counters["unfit"] += len(raw) - len(arrivals)
+        return arrivals
+
+    async def fetch_history(self, gateway: str, *, from_offset: int, limit: int, timeout_s: float = 10.0) -> list[RecordBatch]:
+        """Ask a gateway for records of its journal; an empty list means that it is not there.
+
+        Raises
+        ------
+        QueryError
+            The answer was not brought to its end; nothing of it is returned.
+        """
+        key = build_key(site=self._site, stream=Stream.HISTORY, gateway=gateway)
+        request = HistoryRequest(from_offset=from_offset, limit=limit)
+        batches: list[RecordBatch] = []
+        async with aclosing(self._query(key, encode_record(request), timeout_s=timeout_s)) as replies:
+            async for payload in replies:
+                try:
+                    batch = decode_record(payload, RecordBatch)
+                except RecordError as error:
+                    raise QueryError(key=key, reason=str(error), is_timeout=False) from error
+                if batch.gateway == gateway:
+                    batches.append(batch)
+        return batches
+
+    async def send_command(self, request: StimulationRequest, *, gateway: str, timeout_s: float) -> AsyncGenerator[CommandStage, None]:
+        """Send a command and yield the stages that its gateway reports; none at all means that it is not there.
+
+        Raises
+        ------
+        QueryError
+            The gateway refused the form of the request, or gave no final answer within ``timeout_s``.
+        """
+        key = build_key(site=self._site, stream=Stream.COMMAND, gateway=gateway)
+        async with aclosing(self._query(key, encode_record(request), timeout_s=timeout_s)) as replies:
+            async for payload in replies:
+                try:
+                    stage = decode_record(payload, CommandStage)
+                except RecordError as error:
+                    raise QueryError(key=key, reason=str(error), is_timeout=False) from error
+                if stage.command_id == request.command_id:
+                    yield stage
+
+    async def _query(self, key: str, payload: bytes, *, timeout_s: float) -> AsyncGenerator[bytes, None]:
+        replies: asyncio.Queue[zenoh.Reply | None] = asyncio.Queue()
+
+        def hand_over(reply: zenoh.Reply | None) -> None:
+            with suppress(RuntimeError):  # the loop is closed: nobody waits any more
+                self._loop.call_soon_threadsafe(replies.put_nowait, reply)
+
+        def ask() -> None:
+            self._session.get(
+                key,
+                zenoh.handlers.Callback(hand_over, drop=lambda: hand_over(None)),
+                payload=payload,
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+
+        try:
+            async with asyncio.timeout(timeout_s + _DEADLINE_SLACK_S):
+                await asyncio.to_thread(ask)
+                while (reply := await replies.get()) is not None:
+                    if reply.ok is not None:
+                        yield reply.ok.payload.to_bytes()
+                    elif reply.err is not None:
+                        raise _query_error(key, reply.err.payload.to_bytes(), timeout_s=timeout_s)
+        except TimeoutError as error:
+            raise _query_error(key, _TIMEOUT_PAYLOAD, timeout_s=timeout_s) from error
+        except zenoh.ZError as error:
+            raise QueryError(key=key, reason=_first_sentence(error), is_timeout=False) from error
+
+    def _declare(self) -> None:
+        def pattern(stream: Stream, *, node: str | None = None) -> str:
+            return build_key(site=self._site, stream=stream, gateway=ANY, node=node)
+
+        advanced = [pattern(stream) for stream in _JOURNALED] + [pattern(Stream.STATUS), pattern(Stream.STATUS, node=ANY)]
+        for key in advanced:
+            self._declared.append(
+                zenoh.ext.declare_advanced_subscriber(
+                    self._session,
+                    key,
+                    self._on_sample,
+                    history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+                    recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+                )
+            )
+        for key in (pattern(Stream.NEIGHBOURS, node=ANY), pattern(Stream.EVENTS)):
+            self._declared.append(self._session.declare_subscriber(key, self._on_sample))
+        self._declared.append(self._session.liveliness().declare_subscriber(pattern(Stream.ALIVE), self._on_presence, history=True))
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._push(str(sample.key_expr), sample.payload.to_bytes())
+
+    def _on_presence(self, sample: zenoh.Sample) -> None:
+        self._push(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+    def _push(self, key: str, payload: bytes | bool) -> None:  # noqa: FBT001  # the payload of a liveliness sample is its kind
+        size = len(payload) if isinstance(payload, bytes) else 0
+        with self._lock:
+            if isinstance(payload, bytes) and (len(self._inbox) >= _MAX_INBOX_MESSAGES or self._inbox_bytes + size > _MAX_INBOX_BYTES):
+                self.counters["overflow"] += 1
+                return
+            is_first = not self._inbox
+            self._inbox.append((key, payload))
+            self._inbox_bytes += size
+        if is_first:
+            with suppress(RuntimeError):  # the loop is closed: nobody listens any more
+                self._loop.call_soon_threadsafe(self._has_arrivals.set)
+
+
+def _decode(key_text: str, payload: bytes | bool) -> Arrival | None:  # noqa: FBT001  # see Bus._push
+    try:
+        key = parse_key(key_text)
+        if isinstance(payload, bool):
+            return Presence(gateway=key.gateway, is_alive=payload)
+        arrival = _decode_payload(key, payload)
+    except (KeyExpressionError, RecordError) as error:
+        _log.debug("bus.unfit", key=key_text, reason=str(error))
+        return None
+    is_about_its_key = arrival.gateway == key.gateway and getattr(arrival, "node", None) == key.node
+    return arrival if is_about_its_key else None
+
+
+def _decode_payload(key: Key, payload: bytes) -> RecordBatch | GatewayStatus | NodeStatus | NeighbourReport | GatewayEvent:
+    match key.stream:
+        case Stream.STATUS if key.node is None:
+            return decode_record(payload, GatewayStatus)
+        case Stream.STATUS:
+            return decode_record(payload, NodeStatus)
+        case Stream.NEIGHBOURS:
+            return decode_record(payload, NeighbourReport)
+        case Stream.EVENTS:
+            return decode_record(payload, GatewayEvent)
+        case _:
+            return decode_record(payload, RecordBatch)
+
+
+def _session_config(*, connect: tuple[str, ...], listen: tuple[str, ...]) -> zenoh.Config:
+    # The values and their reasons: ARCHITECTURE, "Zenoh, as measured". A peer starts without a router; a client would wait for it.
+    config = zenoh.Config()
+    settings: dict[str, object] = {
+        "mode": "peer",
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 200, "period_max_ms": 4000, "period_increase_factor": 2},
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/tx/lease": 2000,
+        "transport/unicast/open_timeout": 2000,
+        "timestamping/enabled": True,
+    }
+    for name, value in settings.items():
+        config.insert_json5(name, json.dumps(value))
+    return config
+
+
+def _query_error(key: str, payload: bytes, *, timeout_s: float) -> QueryError:
+    if payload == _TIMEOUT_PAYLOAD:
+        return QueryError(key=key, reason=f"no end of the answer within {timeout_s:g} s", is_timeout=True)
+    return QueryError(key=key, reason=payload.decode(errors="replace"), is_timeout=False)
+
+
+def _first_sentence(error: zenoh.ZError) -> str:
+    # Zenoh appends the places in its own source.
+    return str(error).split(" at /", maxsplit=1)[0]

@@ -1,0 +1,151 @@
+"""Map one connected component of the encounter graph: metric, outliers, subsample, persistence, holes, embedding."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapper.betti import judge_intervals
+from mapper.embedding import embed_in_plane
+from mapper.encounter_graph import EncounterGraph
+from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, shortest_times
+from mapper.outliers import keep_inliers
+from mapper.outlines import outline_hole
+from mapper.persistence import rips_persistence
+from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles
+from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
+from mapper.subsampling import subsample_maxmin
+from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, Recipe, read_only
+
+# Distances to one or two places cannot tell the two sides of a line apart.
+_MIN_LANDMARKS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlacedComponent:
+    """A component's map before it is put beside the others; point indices count from 0 within it.
+
+    ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2).
+    """
+
+    summary: ComponentMap
+    encounters: IntArray
+    coordinates: FloatArray
+    holes: tuple[Hole, ...]
+    skeleton: Skeleton
+    warnings: tuple[str, ...]
+
+
+def map_component(
+    graph: EncounterGraph,
+    recipe: Recipe,
+    rules: tuple[BettiRule, BettiRule],
+    *,
+    index: int,
+    n_points: int,
+    ticks_per_length: float,
+    begin: Callable[[str], None],
+) -> PlacedComponent:
+    """Run the stages on one connected graph.
+
+    Parameters
+    ----------
+    index
+        Which component this is, for its holes and warnings.
+    n_points
+        Size of the subsample.
+    ticks_per_length
+        Ticks in one unit of length of the map.
+    begin
+        Told the name of each stage before it begins.
+
+    Raises
+    ------
+    EngineMissingError
+        The persistence engine is not installed.
+    """
+    begin("metric")
+    references, warnings = _choose_references(graph, recipe, index=index)
+    metric, kept = _compare_and_filter(graph, references, recipe, begin=begin)
+    begin("subsample")
+    sample = subsample_maxmin(metric, kept, n_points=n_points)
+    begin("persistence")
+    lengths = sample.distances / ticks_per_length
+    diagram = rips_persistence(lengths)
+    diameter = float(lengths.max())
+    real = [judge_intervals(part, rule, diameter=diameter) for part, rule in zip(diagram.intervals, rules, strict=True)]
+    begin("embedding")
+    embedding = embed_in_plane(lengths)
+    merges, loops = diagram.intervals
+    holes = tuple(
+        Hole(
+            component=index,
+            birth=float(loops[row, 0]),
+            death=float(loops[row, 1]),
+            outline=outline_hole(lengths, (int(diagram.birth_edges[row, 0]), int(diagram.birth_edges[row, 1]))),
+        )
+        for row in np.flatnonzero(real[1])
+    )
+    if recipe.epsilon_share is None:
+        epsilon = choose_epsilon(loops[real[1]], loops[~real[1]], merges[np.isfinite(merges[:, 1]), 1])
+    else:
+        epsilon = recipe.epsilon_share * diameter
+    return PlacedComponent(
+        summary=ComponentMap(
+            n_encounters=graph.n_encounters,
+            n_used=int(graph.multiplicity[kept].sum()),
+            n_points=len(sample.vertices),
+            n_landmarks=len(graph.landmarks),
+            diameter=diameter,
+            cover_radius=sample.cover_radius / ticks_per_length,
+            epsilon=epsilon,
+            lost_spectrum=embedding.lost_spectrum,
+            distances=read_only(lengths),
+            intervals=(read_only(merges), read_only(loops)),
+            betti_numbers=(int(real[0].sum()), int(real[1].sum())),
+        ),
+        encounters=graph.first_encounter[sample.vertices],
+        coordinates=embedding.coordinates,
+        holes=holes,
+        skeleton=build_skeleton(lengths, epsilon=epsilon),
+        warnings=warnings,
+    )
+
+
+def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> tuple[IntArray, tuple[str, ...]]:
+    """Choose the places that profiles measure from; the encounter metric asks for none."""
+    if recipe.metric is MetricKind.ENCOUNTER or len(graph.landmarks) >= _MIN_LANDMARKS:
+        return graph.landmarks, ()
+    along_graph = EncounterMetric(graph=graph)
+    anchors = subsample_maxmin(along_graph, _inliers(along_graph, recipe), n_points=recipe.n_anchors).vertices
+    warning = (
+        f"component {index} has {len(graph.landmarks)} of the {_MIN_LANDMARKS} landmarks that profiles need, so {len(anchors)} of its "
+        "encounters serve as references too; let 10-20 % of the biobots stand still"
+    )
+    return np.union1d(graph.landmarks, anchors), (warning,)
+
+
+def _compare_and_filter(
+    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, begin: Callable[[str], None]
+) -> tuple[Metric, BoolArray]:
+    """Make the metric, and say which vertices are worth sampling."""
+    if recipe.metric is MetricKind.ENCOUNTER or not recipe.bracketed:
+        metric: Metric = (
+            EncounterMetric(graph=graph)
+            if recipe.metric is MetricKind.ENCOUNTER
+            else profile_metric(graph, references, norm=recipe.profile_norm)
+        )
+        begin("outliers")
+        return metric, _inliers(metric, recipe)
+    bracket = bracket_profiles(shortest_times(graph, references).T, references)
+    begin("outliers")
+    kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
+    profiles = bracket.middle.copy(order="F")
+    profiles[kept] = smooth_profiles(profiles[kept], n_neighbours=round(recipe.smoothing_share * graph.n_vertices))
+    return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept
+
+
+def _inliers(metric: Metric, recipe: Recipe) -> BoolArray:
+    if recipe.outlier_q == 1:
+        return np.ones(metric.graph.n_vertices, dtype=bool)
+    return keep_inliers(metric, k=recipe.outlier_k, q=recipe.outlier_q)

@@ -1,0 +1,143 @@
+"""The frozen configuration: what a TOML file, the environment and the flags may say."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import isfinite
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from firmware_protocol.configuration import load_configuration
+from firmware_protocol.contract.keys import check_name
+from firmware_protocol.errors import ConfigurationError, KeyExpressionError
+from mapper.types import Method, MetricKind, ProfileNorm, Recipe
+
+ENVIRONMENT_PREFIX = "BIOBOT_MAPPER"
+
+# METHOD of [Dir16]: elapsed time, 10 neighbours, the 0.9 quantile, 150 points, the complex drawn at half the diameter.
+_PAPER = Recipe(
+    method=Method.PAPER,
+    metric=MetricKind.ENCOUNTER,
+    profile_norm=ProfileNorm.MAX,
+    moving_time=False,
+    bracketed=False,
+    smoothing_share=0.0,
+    outlier_k=10,
+    outlier_q=0.9,
+    n_points=150,
+    encounters_per_point=0,
+    n_anchors=20,
+    betti_rules=None,
+    epsilon_share=0.5,
+    speed_mps=None,
+)
+_DEFAULT = replace(
+    _PAPER,
+    method=Method.DEFAULT,
+    metric=MetricKind.LANDMARK_PROFILE,
+    profile_norm=ProfileNorm.MAX,
+    moving_time=True,
+    bracketed=True,
+    smoothing_share=0.001,
+    n_points=400,
+    encounters_per_point=10,
+    epsilon_share=None,
+)
+
+
+class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The method and its parameters; what is not given is as ``method`` has it."""
+
+    method: Method = Method.DEFAULT
+    metric: MetricKind | None = None
+    profile_norm: ProfileNorm | None = None
+    moving_time: bool | None = None
+    bracketed: bool | None = None
+    smoothing_share: Annotated[float, Meta(ge=0, le=0.1)] | None = None
+    outlier_k: Annotated[int, Meta(ge=1, le=1000)] | None = None
+    outlier_q: Annotated[float, Meta(gt=0, le=1)] | None = None
+    n_points: Annotated[int, Meta(ge=4, le=1000)] | None = None
+    encounters_per_point: Annotated[int, Meta(ge=0, le=1_000_000)] | None = None
+    n_anchors: Annotated[int, Meta(ge=3, le=1000)] | None = None
+    epsilon_share: Annotated[float, Meta(ge=0, le=1)] | None = None
+    speed_mps: Annotated[float, Meta(gt=0)] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a speed that is no number: limits alone let infinity pass."""
+        if self.speed_mps is not None and not isfinite(self.speed_mps):
+            raise ValueError(f"speed_mps is {self.speed_mps}, but must be a finite number of metres per second")
+
+
+class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How ``biobot-mapper serve`` is connected.
+
+    ``site`` is the first name in the keys of the bus. ``connect`` and ``listen`` are Zenoh endpoints; a gateway on the same machine listens
+    on the one that is connected to by default. ``store`` is the file of records, None for memory alone: gateways' journals fill it
+    again at each start. ``host`` other than a loopback address needs ``allow_remote``, because there are no users and passwords yet;
+    ``port`` 0 takes a free one. A new map is begun no earlier than ``min_interval_s`` after the one before.
+    """
+
+    site: str = "local"
+    connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    listen: tuple[str, ...] = ()
+    store: str | None = None
+    host: str = "127.0.0.1"
+    port: Annotated[int, Meta(ge=0, le=65_535)] = 8080
+    allow_remote: bool = False
+    min_interval_s: Annotated[float, Meta(ge=0.05, le=3600)] = 1.0
+    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
+
+    def __post_init__(self) -> None:
+        """Refuse a site that cannot stand in a key."""
+        try:
+            check_name(self.site, what="site")
+        except KeyExpressionError as error:
+            raise ValueError(str(error)) from error
+
+
+class MapperConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All that one configuration file of the mapper may say; ``biobot-mapper run`` heeds ``recipe`` alone."""
+
+    recipe: RecipeConfig = RecipeConfig()
+    serve: ServiceConfig = ServiceConfig()
+
+
+def load_mapper_config(path: Path | None, *, environment: Mapping[str, str], flags: Mapping[str, object]) -> MapperConfig:
+    """Build the configuration: defaults, then the TOML file, then ``BIOBOT_MAPPER__...`` variables, then flags.
+
+    Parameters
+    ----------
+    path
+        The TOML file, or None for none.
+    flags
+        Dotted key to value; None means "not given".
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or any source has an unknown key or an unfit value; all are listed.
+    """
+    text = None
+    if path is not None:
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else str(error)
+            raise ConfigurationError([f"{path}: cannot be read: {reason}; give the path of a TOML file"]) from error
+    return load_configuration(
+        MapperConfig,
+        toml_text=text,
+        toml_name=str(path),
+        environment=environment,
+        environment_prefix=ENVIRONMENT_PREFIX,
+        flags=flags,
+    )
+
+
+def make_recipe(config: RecipeConfig) -> Recipe:
+    """Fill what is not given with the parameters of the method named."""
+    recipe = _PAPER if config.method is Method.PAPER else _DEFAULT
+    given = {name: getattr(config, name) for name in config.__struct_fields__ if getattr(config, name) is not None}
+    return replace(recipe, **given)

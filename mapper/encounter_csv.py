@@ -1,0 +1,205 @@
+"""Read encounters and mode spells from CSV files, and say exactly what is wrong with a bad one.
+
+Columns are found by their names, in any order; further columns are left alone. A byte order mark, CRLF, quoted fields, blank lines and
+spaces around a value are accepted. Times are decimal seconds and become whole nanoseconds without passing through a float.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal
+from enum import Enum
+from pathlib import Path
+from typing import TypeVar
+
+from firmware_protocol.contract.records import Cause, Mode
+from firmware_protocol.units import NS_PER_S, NodeId
+from mapper.errors import InputFileError
+from mapper.types import EncounterTable, ModeSpell
+from mapper.window import make_encounter_table
+
+ENCOUNTER_COLUMNS = ("t_start_s", "t_end_s", "id1", "id2")
+MODE_COLUMNS = ("t_start_s", "t_end_s", "id", "mode", "cause")
+
+_MAX_FILE_BYTES = 2**30
+_MAX_ID = 2**63 - 1
+# Sums of two instants, and a whole span in half nanoseconds, must fit 63 bits. Wall clocks since 1970 are near 1.8e9 s.
+_MIN_TIME_S, _MAX_TIME_S = -300_000_000, 4_000_000_000
+_SHOWN_LENGTH = 40
+_DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?", re.ASCII)
+_WHOLE = re.compile(r"[0-9]{1,40}", re.ASCII)
+
+RowT = TypeVar("RowT")
+EnumT = TypeVar("EnumT", bound=Enum)
+
+
+@dataclass(slots=True, kw_only=True)
+class _Faults:
+    """Faults of one file: the first ones in words, the others counted."""
+
+    limit: int = 10
+    shown: list[str] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, line: int, reason: str) -> None:
+        self.count += 1
+        if len(self.shown) < self.limit:
+            self.shown.append(f"line {line}: {reason}")
+
+
+class _FieldError(ValueError):
+    """A value in a row is not what its column wants."""
+
+
+def read_encounters(path: Path) -> EncounterTable:
+    """Read a file with the columns ``t_start_s,t_end_s,id1,id2``.
+
+    Raises
+    ------
+    InputFileError
+        The file cannot be read, is no such CSV, or has bad rows; up to ten are listed with line and reason, and the rest counted.
+    """
+    rows = _read_rows(path, columns=ENCOUNTER_COLUMNS, parse=_parse_encounter)
+    start, end, id1, id2 = zip(*rows, strict=True) if rows else ((), (), (), ())
+    return make_encounter_table(t_start_ns=start, t_end_ns=end, id1=id1, id2=id2)
+
+
+def read_modes(path: Path) -> tuple[ModeSpell, ...]:
+    """Read a file with the columns ``t_start_s,t_end_s,id,mode,cause``; an empty ``t_end_s`` is a spell that lasts.
+
+    Raises
+    ------
+    InputFileError
+        As for `read_encounters`.
+    """
+    return tuple(_read_rows(path, columns=MODE_COLUMNS, parse=_parse_spell))
+
+
+def _read_rows(path: Path, *, columns: Sequence[str], parse: Callable[[Mapping[str, str]], RowT]) -> list[RowT]:
+    faults = _Faults()
+    parsed: list[RowT] = []
+    records = _records(_read_text(path), faults)
+    place = _find_columns(path, next(records, None), columns=columns, faults=faults)
+    for line, record in records:
+        try:
+            parsed.append(parse(_pick_fields(record, place)))
+        except _FieldError as error:
+            faults.add(line, str(error))
+    if faults.count:
+        raise InputFileError(path=str(path), faults=faults.shown, n_faults=faults.count)
+    return parsed
+
+
+def _read_text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_FILE_BYTES + 1)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputFileError(path=str(path), faults=[f"cannot be read: {reason}; give the path of a CSV file"]) from error
+    except ValueError as error:
+        raise InputFileError(path=repr(str(path)), faults=[f"cannot be read: {error}"]) from error
+    if len(data) > _MAX_FILE_BYTES:
+        raise InputFileError(path=str(path), faults=[f"is longer than {_MAX_FILE_BYTES} bytes; split it by time"])
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        reason = f"line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; is this a CSV file?"
+        raise InputFileError(path=str(path), faults=[reason]) from error
+    if "\0" in text:
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise InputFileError(path=str(path), faults=[f"line {line}: a NUL byte; is this a CSV file?"])
+    return text
+
+
+def _records(text: str, faults: _Faults) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and fields of every row that is not blank; a row that is no CSV ends the file with a fault."""
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    while True:
+        line = reader.line_num + 1
+        try:
+            record = next(reader)
+        except StopIteration:
+            return
+        except csv.Error as error:
+            faults.add(line, f"not a CSV row: {error}")
+            return
+        if len(record) > 1 or (record and record[0].strip()):
+            yield line, record
+
+
+def _find_columns(path: Path, header: tuple[int, list[str]] | None, *, columns: Sequence[str], faults: _Faults) -> dict[str, int]:
+    wanted = ",".join(columns)
+    if header is None:
+        reason = faults.shown[0] if faults.count else f"line 1: the file is empty; wanted the header {wanted}"
+        raise InputFileError(path=str(path), faults=[reason])
+    line, record = header
+    names = [name.strip() for name in record]
+    missing = [name for name in columns if name not in names]
+    repeated = [name for name in columns if names.count(name) > 1]
+    if missing:
+        raise InputFileError(
+            path=str(path), faults=[f"line {line}: the header {_shown(','.join(names))} lacks {', '.join(missing)}; wanted {wanted}"]
+        )
+    if repeated:
+        raise InputFileError(path=str(path), faults=[f"line {line}: the header names {', '.join(repeated)} twice; wanted {wanted}"])
+    return {name: names.index(name) for name in columns}
+
+
+def _pick_fields(record: Sequence[str], place: Mapping[str, int]) -> dict[str, str]:
+    missing = [name for name, index in place.items() if index >= len(record)]
+    if missing:
+        raise _FieldError(f"{len(record)} fields, so {', '.join(missing)} is missing; wanted {','.join(place)}")
+    return {name: record[index].strip() for name, index in place.items()}
+
+
+def _parse_encounter(row: Mapping[str, str]) -> tuple[int, int, int, int]:
+    start, end = _time_ns(row, "t_start_s"), _time_ns(row, "t_end_s")
+    first, second = _node(row, "id1"), _node(row, "id2")
+    if end < start:
+        raise _FieldError(f"t_end_s {row['t_end_s']} is before t_start_s {row['t_start_s']}")
+    if first == second:
+        raise _FieldError(f"id1 and id2 are both {first}; an encounter has two biobots")
+    return start, end, first, second
+
+
+def _parse_spell(row: Mapping[str, str]) -> ModeSpell:
+    start = _time_ns(row, "t_start_s")
+    end = _time_ns(row, "t_end_s") if row["t_end_s"] else None
+    if end is not None and end < start:
+        raise _FieldError(f"t_end_s {row['t_end_s']} is before t_start_s {row['t_start_s']}")
+    node, mode, cause = _node(row, "id"), _member(row, "mode", Mode), _member(row, "cause", Cause)
+    return ModeSpell(node=NodeId(node), t_start_ns=start, t_end_ns=end, mode=mode, cause=cause)
+
+
+def _time_ns(row: Mapping[str, str], name: str) -> int:
+    text = row[name]
+    if not text:
+        raise _FieldError(f"{name} is empty; wanted seconds, as 12.5")
+    if not _DECIMAL.fullmatch(text):
+        raise _FieldError(f"{name} is {_shown(text)}; wanted a finite number of seconds, as 12.5")
+    seconds = Decimal(text)
+    if not _MIN_TIME_S <= seconds <= _MAX_TIME_S:
+        raise _FieldError(f"{name} is {_shown(text)}; wanted seconds from {_MIN_TIME_S} to {_MAX_TIME_S}; is the unit milliseconds?")
+    return round(seconds * NS_PER_S)
+
+
+def _node(row: Mapping[str, str], name: str) -> int:
+    text = row[name]
+    if not _WHOLE.fullmatch(text) or int(text) > _MAX_ID:
+        raise _FieldError(f"{name} is {_shown(text)}; wanted a whole number from 0 to 2^63-1")
+    return int(text)
+
+
+def _member(row: Mapping[str, str], name: str, kind: type[EnumT]) -> EnumT:
+    try:
+        return kind(row[name])
+    except ValueError as error:
+        raise _FieldError(f"{name} is {_shown(row[name])}; wanted {' or '.join(str(member.value) for member in kind)}") from error
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= _SHOWN_LENGTH else text[: _SHOWN_LENGTH - 3] + "...")

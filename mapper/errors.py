@@ -1,0 +1,194 @@
+"""Errors of the mapper: each leaf is named for what the caller can do about it.
+
+MapError
+├── InputFileError         a file of encounters or modes cannot be used; its faults are listed line by line
+├── TooFewEncountersError  there is nothing to make a map of yet
+├── UnknownBiobotError     a biobot was named that is in no encounter
+├── OutputFileError        a result cannot be written where it was asked for
+├── EngineMissingError     a library that this step needs is not installed
+├── StoreError             the file of records cannot be opened, or is none of ours
+├── BusError               Zenoh cannot be used as configured
+├── QueryError             a query on the bus was not answered to its end
+├── ListenError            the address for HTTP cannot be had
+├── WorkerDiedError        the process that was computing ended before its answer
+├── JobError               a computation failed for a reason that its code did not foresee
+├── NoMapYetError          no map has been finished yet
+├── BiobotNotFoundError    no gateway has spoken of this biobot
+├── CommandNotFoundError   no command of this id was sent from here lately
+├── CommandRefusedError    the gateway refused a command
+├── GatewayAwayError       the gateway of a biobot does not answer
+└── TooManyError           a limit on what runs at the same time is reached: ask again later
+"""
+
+from collections.abc import Sequence
+
+_SHOWN_FAULTS = 10
+
+
+class MapError(Exception):
+    """Root of every error the mapper raises."""
+
+
+class InputFileError(MapError):
+    """A file cannot be used; ``faults`` says why, one line each, and ``n_faults`` how many there were in all."""
+
+    def __init__(self, *, path: str, faults: Sequence[str], n_faults: int | None = None) -> None:
+        self.path = path
+        self.faults = tuple(faults[:_SHOWN_FAULTS])
+        self.n_faults = len(faults) if n_faults is None else n_faults
+        lines = [f"{path}: {fault}" for fault in self.faults]
+        if self.n_faults > len(self.faults):
+            lines.append(f"{path}: and {self.n_faults - len(self.faults)} more")
+        super().__init__("\n".join(lines))
+
+
+class TooFewEncountersError(MapError):
+    """Fewer encounters than a map needs."""
+
+    def __init__(self, *, n_encounters: int, minimum: int, where: str | None = None) -> None:
+        place = f"{where}: " if where else ""
+        counted = "1 encounter" if n_encounters == 1 else f"{n_encounters} encounters"
+        super().__init__(f"{place}{counted}, but a map needs at least {minimum}; record for longer or with more biobots")
+        self.n_encounters = n_encounters
+        self.minimum = minimum
+
+
+class UnknownBiobotError(MapError):
+    """None of the biobots named as stationary is in any encounter."""
+
+    def __init__(self, *, ids: Sequence[int]) -> None:
+        named = ", ".join(map(str, ids))
+        super().__init__(f"no encounter has a biobot of --stationary {named}; compare the ids with columns id1 and id2")
+        self.ids = tuple(ids)
+
+
+class OutputFileError(MapError):
+    """A result cannot be written."""
+
+    def __init__(self, *, path: str, reason: str) -> None:
+        super().__init__(f"{path}: cannot write: {reason}; choose another place")
+        self.path = path
+        self.reason = reason
+
+
+class EngineMissingError(MapError):
+    """A library that this step needs is not installed."""
+
+    def __init__(self, *, library: str, needed_for: str, next_step: str) -> None:
+        super().__init__(f"{library} is not installed, but {needed_for} needs it; {next_step}")
+        self.library = library
+
+
+class StoreError(MapError):
+    """The file of records cannot be used; it was not changed."""
+
+    def __init__(self, *, path: str, reason: str, next_step: str) -> None:
+        super().__init__(f"{path}: {reason}; {next_step}")
+        self.path = path
+        self.reason = reason
+
+
+class BusError(MapError):
+    """Zenoh cannot be used as configured."""
+
+    def __init__(self, *, reason: str, next_step: str) -> None:
+        super().__init__(f"{reason}; {next_step}")
+        self.reason = reason
+
+
+class QueryError(MapError):
+    """A query on the bus was not answered to its end; what came before it counts."""
+
+    def __init__(self, *, key: str, reason: str, is_timeout: bool) -> None:
+        super().__init__(f"query {key}: {reason}; see the log of that gateway")
+        self.key = key
+        self.is_timeout = is_timeout
+
+
+class ListenError(MapError):
+    """The address for HTTP cannot be had."""
+
+    def __init__(self, *, address: str, reason: str, next_step: str) -> None:
+        super().__init__(f"cannot listen on {address}: {reason}; {next_step}")
+        self.address = address
+        self.reason = reason
+
+
+class WorkerDiedError(MapError):
+    """The process that was computing ended before its answer; the next job starts a new one."""
+
+    def __init__(self, *, exit_code: int | None) -> None:
+        how = f"was killed by signal {-exit_code}" if exit_code is not None and exit_code < 0 else f"ended with status {exit_code}"
+        super().__init__(
+            f"the computing process {how} before it was done; the next job starts a new one; see the log, and whether memory ran out"
+        )
+        self.exit_code = exit_code
+
+
+class JobError(MapError):
+    """A computation failed in its own process; ``details`` is the traceback there."""
+
+    def __init__(self, *, reason: str, details: str) -> None:
+        super().__init__(f"the computation failed: {reason}; details are in the log")
+        self.reason = reason
+        self.details = details
+
+
+class NoMapYetError(MapError):
+    """No map has been finished yet."""
+
+    def __init__(self, *, n_encounters: int, minimum: int, reason: str | None = None) -> None:
+        if reason is None:
+            reason = (
+                f"not enough encounters yet: {n_encounters} of at least {minimum}"
+                if n_encounters < minimum
+                else f"the first map, of {n_encounters} encounters, is being computed"
+            )
+        super().__init__(reason)
+        self.n_encounters = n_encounters
+        self.minimum = minimum
+
+
+class BiobotNotFoundError(MapError):
+    """No gateway has spoken of this biobot."""
+
+    def __init__(self, *, biobot: int) -> None:
+        super().__init__(f"no gateway has spoken of biobot {biobot}; GET /api/v1/biobots lists those that are known")
+        self.biobot = biobot
+
+
+class CommandNotFoundError(MapError):
+    """No command of this id was sent from here lately."""
+
+    def __init__(self, *, command_id: str, kept: int) -> None:
+        super().__init__(f"no command has id {command_id!r}; the newest {kept} sent from here since the start are kept")
+        self.command_id = command_id
+
+
+class CommandRefusedError(MapError):
+    """The gateway refused a command; the biobot got nothing."""
+
+    def __init__(self, *, command_id: str, reason: str) -> None:
+        super().__init__(f"the gateway refused the command: {reason or 'it gave no reason'}")
+        self.command_id = command_id
+        self.reason = reason
+
+
+class GatewayAwayError(MapError):
+    """The gateway of a biobot does not answer, so the command did not reach it."""
+
+    def __init__(self, *, command_id: str, gateway: str) -> None:
+        super().__init__(
+            f"gateway {gateway!r} does not answer; the command was not delivered; see whether the gateway runs and is connected"
+        )
+        self.command_id = command_id
+        self.gateway = gateway
+
+
+class TooManyError(MapError):
+    """A limit on what runs at the same time is reached."""
+
+    def __init__(self, *, what: str, limit: int) -> None:
+        super().__init__(f"already {limit} {what}, the limit; ask again later")
+        self.what = what
+        self.limit = limit

@@ -1,0 +1,176 @@
+"""What is known of gateways and biobots right now. Pure: what came in and the time are arguments."""
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from firmware_protocol.contract.records import Cause, GatewayEvent, GatewayStatus, Mode, ModeRecord, NeighbourReport, NodeStatus
+from firmware_protocol.units import NodeId
+
+# A gateway speaks every second; one that missed several is not there.
+_SILENT_AFTER_NS = 5_000_000_000
+_MAX_BIOBOTS = 65_536
+_MAX_GATEWAYS = 1_024
+_KEPT_EVENTS = 200
+
+_ValueT = TypeVar("_ValueT")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BiobotView:
+    """Last known state of a biobot; None where nobody has said it yet. Instants are on the wall clock [ns]."""
+
+    node: NodeId
+    gateway: str
+    is_reachable: bool
+    mode: Mode
+    cause: Cause
+    radio: str | None = None
+    battery_mv: int | None = None
+    rssi_dbm: int | None = None
+    lqi: int | None = None
+    last_heard_wall_ns: int | None = None
+    buffered: int | None = None
+    dropped: int | None = None
+    firmware: int | None = None
+    n_neighbours: int | None = None
+    n_encounters: int = 0
+
+    @property
+    def is_landmark(self) -> bool:
+        """Say whether it was told to stand still."""
+        return self.mode is Mode.S and self.cause is Cause.COMMAND
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GatewayView:
+    """Last known state of a gateway. ``is_alive``: it is on the bus and has spoken lately."""
+
+    name: str
+    is_alive: bool
+    status: GatewayStatus | None
+
+
+@dataclass(slots=True)
+class _Gateway:
+    has_token: bool = False
+    status: GatewayStatus | None = None
+    heard_ns: int | None = None
+
+
+@dataclass(slots=True)
+class Fleet:
+    """Gateways and biobots by name; the newest report wins, whichever gateway it came through."""
+
+    events: deque[GatewayEvent] = field(default_factory=lambda: deque(maxlen=_KEPT_EVENTS))
+    n_ignored: int = 0
+    _gateways: dict[str, _Gateway] = field(default_factory=dict)
+    _nodes: dict[NodeId, NodeStatus] = field(default_factory=dict)
+    _modes: dict[NodeId, ModeRecord] = field(default_factory=dict)
+    _neighbours: dict[NodeId, NeighbourReport] = field(default_factory=dict)
+    _n_encounters: Mapping[NodeId, int] = field(default_factory=dict)
+
+    def take_gateway_status(self, status: GatewayStatus, *, now_ns: int) -> None:
+        """Note that a gateway spoke; ``now_ns`` is monotonic."""
+        gateway = self._gateway(status.gateway)
+        if gateway:
+            gateway.status, gateway.heard_ns = status, now_ns
+
+    def take_presence(self, *, gateway: str, is_alive: bool, now_ns: int) -> None:
+        """Note that a gateway came to the bus or left it; ``now_ns`` is monotonic."""
+        known = self._gateway(gateway)
+        if known:
+            known.has_token = is_alive
+            known.heard_ns = now_ns if is_alive else None
+
+    def take_node_status(self, status: NodeStatus) -> None:
+        """Note a biobot's state, unless a newer one is known."""
+        known = self._nodes.get(status.node)
+        if known is None or status.last_heard_wall_ns >= known.last_heard_wall_ns:
+            self._put(self._nodes, status.node, status)
+
+    def take_neighbours(self, report: NeighbourReport) -> None:
+        """Note whom a biobot has around it."""
+        self._put(self._neighbours, report.node, report)
+
+    def take_modes(self, records: Iterable[ModeRecord]) -> None:
+        """Learn of biobots from records: after a restart they are known before they speak again."""
+        for record in records:
+            known = self._modes.get(record.node)
+            if known is None or _began(record) >= _began(known):
+                self._put(self._modes, record.node, record)
+
+    def set_encounter_counts(self, n_encounters_of: Mapping[NodeId, int]) -> None:
+        """Set how many encounters each biobot has."""
+        self._n_encounters = n_encounters_of
+
+    def gateway_of(self, node: NodeId) -> str | None:
+        """Name the gateway that heard a biobot last; None for an unknown one."""
+        if node in self._nodes:
+            return self._nodes[node].gateway
+        return self._modes[node].gateway if node in self._modes else None
+
+    def gateways(self, *, now_ns: int) -> list[GatewayView]:
+        """List all gateways by name."""
+        return [
+            GatewayView(name=name, is_alive=_is_alive(known, now_ns), status=known.status) for name, known in sorted(self._gateways.items())
+        ]
+
+    def biobots(self, *, now_ns: int) -> list[BiobotView]:
+        """List all biobots by id."""
+        reachable = {view.name for view in self.gateways(now_ns=now_ns) if view.is_alive}
+        return [self._biobot(node, reachable) for node in sorted(self._nodes.keys() | self._modes.keys())]
+
+    def _biobot(self, node: NodeId, reachable: set[str]) -> BiobotView:
+        neighbours = self._neighbours.get(node)
+        n_neighbours = len(neighbours.neighbours) if neighbours else None
+        status = self._nodes.get(node)
+        if status is None:
+            record = self._modes[node]
+            return BiobotView(
+                node=node,
+                gateway=record.gateway,
+                is_reachable=record.gateway in reachable,
+                mode=record.mode,
+                cause=record.cause,
+                n_neighbours=n_neighbours,
+                n_encounters=self._n_encounters.get(node, 0),
+            )
+        return BiobotView(
+            node=node,
+            gateway=status.gateway,
+            is_reachable=status.gateway in reachable,
+            mode=status.mode,
+            cause=status.cause,
+            radio=status.radio,
+            battery_mv=status.battery_mv,
+            rssi_dbm=status.rssi_dbm,
+            lqi=status.lqi,
+            last_heard_wall_ns=status.last_heard_wall_ns,
+            buffered=status.buffered,
+            dropped=status.dropped,
+            firmware=status.firmware,
+            n_neighbours=n_neighbours,
+            n_encounters=self._n_encounters.get(node, 0),
+        )
+
+    def _gateway(self, name: str) -> _Gateway | None:
+        if name not in self._gateways and len(self._gateways) >= _MAX_GATEWAYS:
+            self.n_ignored += 1
+            return None
+        return self._gateways.setdefault(name, _Gateway())
+
+    def _put(self, table: dict[NodeId, _ValueT], node: NodeId, value: _ValueT) -> None:
+        if node not in table and len(table) >= _MAX_BIOBOTS:
+            self.n_ignored += 1
+        else:
+            table[node] = value
+
+
+def _is_alive(gateway: _Gateway, now_ns: int) -> bool:
+    return gateway.has_token and gateway.heard_ns is not None and now_ns - gateway.heard_ns < _SILENT_AFTER_NS
+
+
+def _began(record: ModeRecord) -> int:
+    return record.t_start_ns + record.wall_anchor_ns

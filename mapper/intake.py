@@ -1,0 +1,191 @@
+"""From the bus into store and fleet, and the repair of gaps from the gateways' history (CONTRACT.md §4)."""
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from firmware_protocol.contract.records import (
+    EncounterRecord,
+    GatewayEvent,
+    GatewayStatus,
+    MissionRecord,
+    NeighbourReport,
+    NodeStatus,
+    RecordBatch,
+)
+from mapper.bus import Arrival, Bus, Presence
+from mapper.changes import Changes, Topic
+from mapper.errors import QueryError, StoreError
+from mapper.fleet import Fleet
+from mapper.log import EventLog
+from mapper.store import Applied, Store
+from mapper.store_thread import StoreThread
+
+_log = EventLog(__name__)
+
+_PAGE: Final = 10_000
+_CHECK_PERIOD_S: Final = 0.25
+# A status may overtake the records it counts; only what is still missing after this is a gap.
+_GRACE_S: Final = 0.5
+_MAX_BACKOFF_S: Final = 10.0
+_ASKED_BEFORE_GIVING_UP: Final = 3
+
+
+@dataclass(slots=True)
+class _Journal:
+    """The journal that a gateway writes now, and the newest offset it has told of."""
+
+    name: str
+    head_offset: int
+
+
+class Intake:
+    """Keeps store and fleet in step with the bus.
+
+    ``counters``: records ``new``, ``revised``, ``repeated``, ``unfit``; ``repaired`` ones that history brought;
+    ``given_up`` offsets that a gateway does not have itself; ``store_faults`` writes that failed (history repeats them).
+    """
+
+    def __init__(self, *, bus: Bus, records: StoreThread, fleet: Fleet, changes: Changes) -> None:
+        self.counters: Counter[str] = Counter()
+        self.store_fault: str | None = None
+        self._bus = bus
+        self._records = records
+        self._fleet = fleet
+        self._changes = changes
+        self._journals: dict[str, _Journal] = {}
+
+    async def run(self) -> None:
+        """Take in what comes, until cancelled."""
+        self._fleet.take_modes(await self._records.call(Store.latest_modes))
+        async with asyncio.TaskGroup() as group:
+            while True:
+                arrivals = await self._bus.receive()
+                known = set(self._journals)
+                await self._take(arrivals)
+                for gateway in self._journals.keys() - known:
+                    group.create_task(self._follow(gateway), name=f"repair {gateway}")
+
+    async def _take(self, arrivals: Sequence[Arrival]) -> None:
+        batches: list[RecordBatch] = []
+        has_news = False
+        for arrival in arrivals:
+            match arrival:
+                case RecordBatch():
+                    batches.append(arrival)
+                    self._note_head(arrival.gateway, arrival.journal, arrival.head_offset)
+                case GatewayStatus():
+                    self._note_head(arrival.gateway, arrival.journal, arrival.head_offset)
+                    self._fleet.take_gateway_status(arrival, now_ns=time.monotonic_ns())
+                    has_news = True
+                case NodeStatus():
+                    self._fleet.take_node_status(arrival)
+                    has_news = True
+                case NeighbourReport():
+                    self._fleet.take_neighbours(arrival)
+                    has_news = True
+                case GatewayEvent():
+                    self._fleet.events.append(arrival)
+                    has_news = True
+                case Presence():
+                    _log.info("gateway.on_the_bus" if arrival.is_alive else "gateway.left_the_bus", gateway=arrival.gateway)
+                    self._fleet.take_presence(gateway=arrival.gateway, is_alive=arrival.is_alive, now_ns=time.monotonic_ns())
+                    has_news = True
+        if has_news:
+            self._changes.bump(Topic.BIOBOTS)
+        if batches:
+            await self._apply(batches)
+
+    async def _apply(self, batches: Sequence[RecordBatch]) -> Applied:
+        try:
+            applied = await self._records.call(Store.apply, batches)
+        except StoreError as error:
+            self.counters["store_faults"] += 1
+            if self.store_fault is None:
+                _log.error("store.fault", reason=str(error))
+            self.store_fault = str(error)
+            return Applied()
+        if self.store_fault is not None:
+            _log.warning("store.fault_over", faults=self.counters["store_faults"])
+            self.store_fault = None
+        self.counters.update(new=applied.n_new, revised=applied.n_revised, repeated=applied.n_repeated, unfit=applied.n_unfit)
+        if applied.has_changed:
+            self._tell(batches)
+            if any(not isinstance(record, EncounterRecord) for batch in batches for record in batch.records):
+                self._fleet.take_modes(await self._records.call(Store.latest_modes))
+        return applied
+
+    def _tell(self, batches: Sequence[RecordBatch]) -> None:
+        kinds = {type(record) for batch in batches for record in batch.records}
+        # A phase of the mission moves the beginning of what counts.
+        self._changes.bump(Topic.RECORDS)
+        if MissionRecord in kinds:
+            self._changes.bump(Topic.MISSION)
+
+    def _note_head(self, gateway: str, journal: str, head_offset: int) -> None:
+        known = self._journals.get(gateway)
+        if known is None:
+            self._journals[gateway] = _Journal(name=journal, head_offset=head_offset)
+        elif known.name != journal:
+            _log.info("journal.new", gateway=gateway, before=known.name, now=journal)
+            known.name, known.head_offset = journal, head_offset
+        else:
+            known.head_offset = max(known.head_offset, head_offset)
+
+    async def _hole(self, gateway: str) -> tuple[int, int] | None:
+        journal = self._journals[gateway]
+        return await self._records.call(Store.first_hole, gateway=gateway, journal=journal.name, head_offset=journal.head_offset)
+
+    async def _follow(self, gateway: str) -> None:
+        """Watch one gateway's journal and fetch what stays missing, until cancelled."""
+        backoff_s = _CHECK_PERIOD_S
+        before, since = None, time.monotonic()
+        while True:
+            await asyncio.sleep(backoff_s)
+            backoff_s = _CHECK_PERIOD_S
+            hole = await self._hole(gateway)
+            missing = (self._journals[gateway].name, hole[0]) if hole else None
+            if missing != before:
+                before, since = missing, time.monotonic()
+            if hole is None or time.monotonic() - since < _GRACE_S:
+                continue
+            backoff_s = await self._repair(gateway)
+
+    async def _repair(self, gateway: str) -> float:
+        """Ask for history until nothing is missing, or nothing comes; return how long to wait then."""
+        journal = self._journals[gateway].name
+        n_asked_in_vain = 0
+        wait_s = 1.0
+        n_before = self.counters["repaired"]
+        while (hole := await self._hole(gateway)) and self._journals[gateway].name == journal:
+            try:
+                # One more than what is missing: if that comes and the missing do not, the gateway does not have them.
+                batches = await self._bus.fetch_history(gateway, from_offset=hole[0], limit=min(_PAGE, hole[1] - hole[0] + 2))
+            except QueryError as error:
+                _log.warning("history.fault", gateway=gateway, reason=str(error))
+                batches = []
+            batches = [batch for batch in batches if batch.journal == journal]
+            applied = await self._apply(batches)
+            self.counters["repaired"] += applied.n_new + applied.n_revised
+            if await self._hole(gateway) != hole:
+                n_asked_in_vain, wait_s = 0, 1.0
+                continue
+            n_asked_in_vain += 1
+            last = max((record.offset for batch in batches for record in batch.records), default=0)
+            if last > hole[1] and n_asked_in_vain >= _ASKED_BEFORE_GIVING_UP and self.store_fault is None:
+                # The gateway has what follows, but not these: asking again would not bring them.
+                _log.warning("history.hole", gateway=gateway, journal=journal, first=hole[0], last=hole[1])
+                self.counters["given_up"] += hole[1] - hole[0] + 1
+                await self._records.call(Store.give_up, gateway=gateway, journal=journal, first=hole[0], last=hole[1])
+                n_asked_in_vain = 0
+                continue
+            if not batches:
+                return min(wait_s * n_asked_in_vain, _MAX_BACKOFF_S)
+            await asyncio.sleep(wait_s)
+            wait_s = min(2 * wait_s, _MAX_BACKOFF_S)
+        if self.counters["repaired"] > n_before:
+            _log.info("history.level", gateway=gateway, records=self.counters["repaired"] - n_before)
+        return _CHECK_PERIOD_S

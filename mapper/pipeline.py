@@ -1,0 +1,181 @@
+"""The stages of the mapper in their order: graph, components, one map each, put side by side."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from firmware_protocol.contract.records import Cause, Mode
+from mapper.betti import load_trained_rules
+from mapper.component_map import PlacedComponent, map_component
+from mapper.encounter_graph import EncounterGraph, build_encounter_graph, split_components
+from mapper.errors import TooFewEncountersError
+from mapper.types import (
+    TICKS_PER_S,
+    EncounterTable,
+    FloatArray,
+    MapResult,
+    ModeSpell,
+    Points,
+    Recipe,
+    read_only,
+)
+
+Progress = Callable[[str, float], None]
+"""Called with the stage that begins and the share of the work done so far, in [0, 1]."""
+
+MIN_ENCOUNTERS = 2
+_MIN_POINTS = 3  # of a component that is not the largest; with fewer there cannot be a loop
+_MIN_SAMPLE = 100  # below that even an obstacle of a third of the arena's side is lost between the points
+_STAGES = ("metric", "outliers", "subsample", "persistence", "embedding")
+_GAP_SHARE = 0.1  # of the largest diameter, between components drawn side by side
+
+
+def compute_map(table: EncounterTable, spells: Sequence[ModeSpell], recipe: Recipe, *, progress: Progress | None = None) -> MapResult:
+    """Make the map of all encounters of a table.
+
+    Every connected component with a fair share of the encounters is mapped by itself: one whose share of the
+    ``n_points`` of the subsample is at least 3 points, and always the largest. What was left out is said in ``warnings``.
+    The result depends neither on the order of rows nor on clocks' zero; on the biobots' names only where encounters tie exactly.
+
+    Parameters
+    ----------
+    spells
+        Times in which biobots stood still; those by command make landmarks. Of the same clock as ``table``.
+    progress
+        Told of each stage; called in this thread.
+
+    Raises
+    ------
+    TooFewEncountersError
+        Fewer than two encounters.
+    EngineMissingError
+        The persistence engine is not installed.
+    """
+    if len(table) < MIN_ENCOUNTERS:
+        raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS)
+    report = progress or (lambda _stage, _share: None)
+    report("graph", 0.0)
+    rules = recipe.betti_rules or load_trained_rules(recipe.method, recipe.metric).rules
+    parts = split_components(build_encounter_graph(table, spells, moving_time=recipe.moving_time))
+    shares = share_points([part.n_encounters for part in parts], n_points=count_points(len(table), recipe))
+    ticks_per_length = TICKS_PER_S / (recipe.speed_mps or 1.0)
+    placed = []
+    for index, (part, n_points) in enumerate(zip(parts, shares, strict=False)):
+
+        def begin(stage: str, done: int = index) -> None:
+            report(stage, (done + _STAGES.index(stage) / len(_STAGES)) / len(shares))
+
+        placed.append(map_component(part, recipe, rules, index=index, n_points=n_points, ticks_per_length=ticks_per_length, begin=begin))
+    report("done", 1.0)
+    warnings = [*_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]
+    warnings += [warning for part in placed for warning in part.warnings]
+    return _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(parts), warnings=warnings)
+
+
+def count_points(n_encounters: int, recipe: Recipe) -> int:
+    """Say how many points the subsample gets: fewer than ``n_points`` where too few encounters would stand behind each.
+
+    Notes
+    -----
+    More points show smaller holes, but a point that few encounters confirm adds more noise than shape.
+    """
+    if recipe.encounters_per_point == 0:
+        return recipe.n_points
+    return min(recipe.n_points, max(_MIN_SAMPLE, n_encounters // recipe.encounters_per_point))
+
+
+def share_points(sizes: Sequence[int], *, n_points: int) -> list[int]:
+    """Share the points of the subsample among the components worth mapping.
+
+    Parameters
+    ----------
+    sizes
+        Encounters in each component, largest first.
+
+    Returns
+    -------
+    list of int
+        One number for each component mapped, in the same order; they sum to ``n_points``, and each but the first is at least 3.
+
+    Notes
+    -----
+    In proportion to the encounters, by largest remainder; ties go to the larger component, then to the earlier.
+    """
+    total = sum(sizes)
+    mapped = [size for index, size in enumerate(sizes) if index == 0 or size * n_points >= _MIN_POINTS * total]
+    shares = [size * n_points // sum(mapped) for size in mapped]
+    by_remainder = sorted(range(len(mapped)), key=lambda i: (-(mapped[i] * n_points % sum(mapped)), i))
+    for i in by_remainder[: n_points - sum(shares)]:
+        shares[i] += 1
+    return shares
+
+
+def _warn_of_landmarks(parts: Sequence[EncounterGraph], spells: Sequence[ModeSpell]) -> list[str]:
+    if any(len(part.landmarks) for part in parts):
+        return []
+    if any(spell.mode is Mode.S and spell.cause is Cause.COMMAND for spell in spells):
+        return [
+            "no encounter lies in a commanded S spell, so there are no landmarks; do encounters and modes count time from the same instant?"
+        ]
+    return [
+        "no landmarks: with nothing that stands still, distances measure time as much as place; name static biobots or give their modes"
+    ]
+
+
+def _warn_of_components(parts: Sequence[EncounterGraph], *, n_mapped: int) -> list[str]:
+    if len(parts) == 1:
+        return []
+    left_out = sum(part.n_encounters for part in parts[n_mapped:])
+    text = f"the encounters fall into {len(parts)} components that no biobot joins; {n_mapped} mapped apart, betti_numbers are summed"
+    if left_out:
+        text += f"; {len(parts) - n_mapped} with too few encounters ({left_out} in all) left out"
+    return [text]
+
+
+def _assemble(
+    table: EncounterTable, placed: Sequence[PlacedComponent], recipe: Recipe, *, n_components: int, warnings: list[str]
+) -> MapResult:
+    encounters = np.concatenate([part.encounters for part in placed])
+    offsets = np.cumsum([0, *(len(part.encounters) for part in placed)])
+    coordinates = _side_by_side(placed)
+    start, end = table.t_start_ns[encounters], table.t_end_ns[encounters]
+    summaries = tuple(part.summary for part in placed)
+    return MapResult(
+        betti_numbers=(sum(s.betti_numbers[0] for s in summaries), sum(s.betti_numbers[1] for s in summaries)),
+        points=Points(
+            x=read_only(coordinates[:, 0].copy()),
+            y=read_only(coordinates[:, 1].copy()),
+            t_ns=read_only(start + (end - start) // 2),
+            id1=read_only(table.id1[encounters]),
+            id2=read_only(table.id2[encounters]),
+            component=read_only(np.repeat(np.arange(len(placed)), np.diff(offsets))),
+            encounter=read_only(encounters),
+        ),
+        components=summaries,
+        holes=tuple(
+            replace(hole, outline=read_only(hole.outline + offset))
+            for part, offset in zip(placed, offsets, strict=False)
+            for hole in part.holes
+        ),
+        edges=read_only(np.concatenate([part.skeleton.edges + offset for part, offset in zip(placed, offsets, strict=False)])),
+        triangles=read_only(np.concatenate([part.skeleton.triangles + offset for part, offset in zip(placed, offsets, strict=False)])),
+        diameter=max(s.diameter for s in summaries),
+        lost_spectrum=max(s.lost_spectrum for s in summaries),
+        n_encounters=len(table),
+        n_used=sum(s.n_used for s in summaries),
+        n_components=n_components,
+        length_unit="s" if recipe.speed_mps is None else "m",
+        recipe=recipe,
+        warnings=tuple(warnings),
+    )
+
+
+def _side_by_side(placed: Sequence[PlacedComponent]) -> FloatArray:
+    """Move each component to the right of the one before; the first stays where it is."""
+    gap = _GAP_SHARE * max(part.summary.diameter for part in placed)
+    moved = [placed[0].coordinates]
+    for part in placed[1:]:
+        shift = moved[-1][:, 0].max() + gap - part.coordinates[:, 0].min()
+        moved.append(part.coordinates + np.array([shift, 0.0]))
+    return np.concatenate(moved)

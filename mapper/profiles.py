@@ -1,0 +1,98 @@
+"""Bracketed landmark profiles: bounds from both sides on how far each encounter is from every landmark.
+
+A shortest path in time can only overstate a distance, because nobody has to have gone straight from here to there. What two landmarks
+know of each other bounds it from below: ``d(i, k) >= d(k, m) - d(i, m)`` for any third place m. The middle of the two bounds is a much
+better estimate than the path, and their gap says how far the estimate can be trusted.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mapper.types import BoolArray, FloatArray, IntArray
+
+_ROWS_AT_ONCE = 4096
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProfileBracket:
+    """Where v vertices are, by their distances to l reference places.
+
+    ``middle`` [ticks], shape (v, l): half way between the bounds. ``doubt`` [ticks], shape (v,): half the gap between them, its
+    median over the references; 0 at a reference itself.
+    """
+
+    middle: FloatArray
+    doubt: FloatArray
+
+
+def bracket_profiles(times: FloatArray, references: IntArray) -> ProfileBracket:
+    """Take the middle of the upper and lower bound of every distance to a reference.
+
+    Parameters
+    ----------
+    times
+        Shortest-path time from each vertex to each reference [ticks], shape (v, l), finite: the upper bounds.
+    references
+        The vertices that the columns of ``times`` belong to, shape (l,).
+
+    Notes
+    -----
+    The lower bound is ``max_m d(k, m) - d(i, m)`` over the references m other than k. The triangle inequality keeps it below the upper
+    one. Both move by no more than the encounter metric between two vertices does, and so does their middle. With one
+    reference there is no lower bound and the upper one is taken.
+    """
+    half_gap = np.zeros_like(times)
+    between = times[references]
+    n_references = times.shape[1]
+    others = ~np.eye(n_references, dtype=bool)
+    if n_references > 1:
+        for begin in range(0, len(times), _ROWS_AT_ONCE):
+            rows = slice(begin, begin + _ROWS_AT_ONCE)
+            for k in range(n_references):
+                detour = times[rows][:, others[k]] - between[k, others[k]]
+                half_gap[rows, k] = (times[rows, k] + detour.min(axis=1)) / 2
+    return ProfileBracket(middle=times - half_gap, doubt=np.asarray(np.median(half_gap, axis=1)))
+
+
+def keep_well_bracketed(bracket: ProfileBracket, *, q: float) -> BoolArray:
+    """Say which vertices to keep: those whose doubt is within its q-quantile over the vertices.
+
+    Returns
+    -------
+    BoolArray
+        Shape (v,); at least one is True.
+
+    Notes
+    -----
+    Dropping what lies far from its neighbours, as [Dir16] does, empties the narrow passages where few biobots meet, and with them
+    the proof that a hole is surrounded. A wide gap between bounds marks an encounter that is badly located, wherever it is.
+    """
+    return np.asarray(bracket.doubt <= np.quantile(bracket.doubt, q))
+
+
+def smooth_profiles(profiles: FloatArray, *, n_neighbours: int) -> FloatArray:
+    """Replace every profile by the mean of itself and those nearest to it (Euclidean).
+
+    Parameters
+    ----------
+    profiles
+        Shape (v, l).
+    n_neighbours
+        How many are averaged with each; 0 changes nothing.
+
+    Notes
+    -----
+    Furthest-point sampling picks the worst errors first, and the more encounters there are the worse the worst. Averaging over a fixed
+    share of the encounters, that is over a fixed area, undoes that.
+    """
+    n_neighbours = min(n_neighbours, len(profiles) - 1)
+    if n_neighbours < 1:
+        return profiles
+    _, nearest = cKDTree(profiles).query(profiles, k=n_neighbours + 1)
+    total = np.zeros_like(profiles)
+    # Neighbour by neighbour: all of them at once would need v * n_neighbours * l numbers.
+    for column in np.asarray(nearest).T:
+        total += profiles[column]
+    return total / (n_neighbours + 1)

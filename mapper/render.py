@@ -1,0 +1,87 @@
+"""Draw a map and its persistence diagram, as SVG or PNG. Matplotlib is imported only when a picture is asked for."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from mapper.types import MapResult
+
+ImageFormat = Literal["svg", "png"]
+
+# Colours that the common colour vision deficiencies keep apart (Wong 2011).
+_TRIANGLE, _EDGE, _HOLE, _NOISE = "#56b4e9", "#999999", "#d55e00", "#0072b2"
+# More triangles than this hide each other and only make the file large.
+_MAX_DRAWN_TRIANGLES = 20_000
+
+
+def render_map(result: MapResult, *, image_format: ImageFormat) -> bytes:
+    """Draw points, complex and hole outlines beside the persistence diagram.
+
+    Returns
+    -------
+    bytes
+        The image file. Equal maps give equal bytes with one version of matplotlib.
+
+    Notes
+    -----
+    Of more than 20,000 triangles only an even selection is drawn.
+    """
+    import matplotlib as mpl  # noqa: PLC0415  # a map without pictures must not wait for it
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # same
+    from matplotlib.figure import Figure  # noqa: PLC0415  # same
+
+    buffer = io.BytesIO()
+    # Fixed ids and no date: the same map is the same file.
+    with mpl.rc_context({"svg.hashsalt": "biobot", "svg.fonttype": "none"}):
+        figure = Figure(figsize=(11, 5.5), layout="constrained")
+        FigureCanvasAgg(figure)
+        map_axes, diagram_axes = figure.subplots(1, 2, width_ratios=(1.2, 1))
+        _draw_map(map_axes, result)
+        _draw_diagram(diagram_axes, result)
+        figure.savefig(buffer, format=image_format, dpi=120, metadata={"Date": None} if image_format == "svg" else None)
+    return buffer.getvalue()
+
+
+def _draw_map(axes: Axes, result: MapResult) -> None:
+    from matplotlib.collections import LineCollection, PolyCollection  # noqa: PLC0415  # see render_map
+
+    points = result.points
+    xy = np.column_stack([points.x, points.y])
+    step = max(1, -(-len(result.triangles) // _MAX_DRAWN_TRIANGLES))
+    axes.add_collection(PolyCollection(list(xy[result.triangles[::step]]), facecolors=_TRIANGLE, edgecolors="none", alpha=0.12, zorder=1))
+    axes.add_collection(LineCollection(list(xy[result.edges]), colors=_EDGE, linewidths=0.3, alpha=0.6, zorder=2))
+    time_s = (points.t_ns - points.t_ns.min()) / 1e9
+    marks = axes.scatter(points.x, points.y, c=time_s, s=14, cmap="viridis", zorder=3)
+    axes.figure.colorbar(marks, ax=axes, label="time since the first encounter drawn [s]", shrink=0.8)
+    for number, hole in enumerate(result.holes, start=1):
+        outline = xy[np.append(hole.outline, hole.outline[0])]
+        axes.plot(*outline.T, color=_HOLE, linewidth=2, zorder=4)
+        axes.annotate(str(number), outline[:-1].mean(axis=0), color=_HOLE, weight="bold", ha="center", va="center", zorder=5)
+    b0, b1 = result.betti_numbers
+    axes.set_title(f"map: b0 = {b0}, b1 = {b1}, {result.n_encounters} encounters")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(f"x [{result.length_unit}]")
+    axes.set_ylabel(f"y [{result.length_unit}]")
+    axes.autoscale_view()
+
+
+def _draw_diagram(axes: Axes, result: MapResult) -> None:
+    limit = 1.05 * (result.diameter or 1.0)
+    axes.plot([0, limit], [0, limit], color=_EDGE, linewidth=0.8)
+    for dimension, marker, colour in ((0, "s", _EDGE), (1, "o", _NOISE)):
+        births, deaths = np.concatenate([part.intervals[dimension] for part in result.components]).T
+        axes.scatter(births, np.minimum(deaths, limit), marker=marker, s=12, color=colour, label=f"dimension {dimension}")
+    if result.holes:
+        births, deaths = np.array([(hole.birth, hole.death) for hole in result.holes]).T
+        axes.scatter(births, deaths, s=60, facecolors="none", edgecolors=_HOLE, linewidths=2, label="called a hole")
+    axes.set_title("persistence diagram")
+    axes.set_xlabel(f"birth [{result.length_unit}]")
+    axes.set_ylabel(f"death [{result.length_unit}] (never: at the top)")
+    axes.set_aspect("equal")
+    axes.legend(loc="lower right")

@@ -1,0 +1,134 @@
+"""A finished map as a JSON object for programs, and as a summary for a person. Nothing in the JSON is nan or infinite."""
+
+from math import isfinite
+
+from mapper.types import BettiRule, ComponentMap, FloatArray, MapResult, Recipe
+
+JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
+JsonObject = dict[str, JsonValue]
+
+_NS_PER_S = 1e9
+_LISTED_INTERVALS = 5
+
+
+def to_json_object(result: MapResult) -> JsonObject:
+    """Describe a map for programs.
+
+    Returns
+    -------
+    JsonObject
+        ``betti_numbers`` [b0, b1]; ``intervals`` of all components by dimension, death null where it never comes; ``points`` with map
+        coordinates, time [s] and biobots; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth, death,
+        component, and ``confidence`` null until it is known; ``complex`` (edges and triangles as indices of points); ``components`` (those
+        mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``, ``n_used``,
+        ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``.
+    """
+    points = result.points
+    xy = [[float(x), float(y)] for x, y in zip(points.x, points.y, strict=True)]
+    rows = zip(xy, points.t_ns.tolist(), points.id1.tolist(), points.id2.tolist(), points.component.tolist(), strict=True)
+    return {
+        "betti_numbers": list(result.betti_numbers),
+        "intervals": {
+            str(dimension): [interval for part in result.components for interval in _intervals(part.intervals[dimension])]
+            for dimension in (0, 1)
+        },
+        "points": [
+            {"x": place[0], "y": place[1], "t": t_ns / _NS_PER_S, "id1": id1, "id2": id2, "component": component}
+            for place, t_ns, id1, id2, component in rows
+        ],
+        "holes": [
+            {
+                "outline": [list(xy[point]) for point in hole.outline.tolist()],
+                "points": hole.outline.tolist(),
+                "birth": hole.birth,
+                "death": hole.death,
+                "component": hole.component,
+                "confidence": None,
+            }
+            for hole in result.holes
+        ],
+        "complex": {"edges": result.edges.tolist(), "triangles": result.triangles.tolist()},
+        "components": [_component(part, index) for index, part in enumerate(result.components)],
+        "n_components": result.n_components,
+        "diameter": result.diameter,
+        "n_encounters": result.n_encounters,
+        "n_used": result.n_used,
+        "lost_spectrum": result.lost_spectrum,
+        "parameters": _parameters(result.recipe, length_unit=result.length_unit),
+        "warnings": list(result.warnings),
+    }
+
+
+def summarize(result: MapResult) -> str:
+    """Describe a map in a few lines for a person; without the warnings."""
+    b0, b1 = result.betti_numbers
+    unit = result.length_unit
+    recipe = result.recipe
+    lines = [
+        f"{_counted(b0, 'component')}, {_counted(b1, 'hole')}",
+        f"encounters     {result.n_encounters}, of which {result.n_used} used; {len(result.points)} points drawn",
+        f"method         {recipe.method}, metric {recipe.metric}",
+        f"diameter       {result.diameter:.6g} {unit}",
+        f"lost spectrum  {result.lost_spectrum:.1%} of the shape does not fit the plane",
+    ]
+    lines += [
+        f"hole {number:<9} birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}"
+        for number, hole in enumerate(result.holes, start=1)
+    ]
+    lines += [
+        f"component {index:<4} encounters {part.n_encounters}, landmarks {part.n_landmarks}, holes {part.betti_numbers[1]}"
+        for index, part in enumerate(result.components)
+    ]
+    longest = ", ".join(
+        f"{birth:.4g}-{death:.4g}" for part in result.components for birth, death in part.intervals[1][:_LISTED_INTERVALS].tolist()
+    )
+    return "\n".join([*lines, f"longest loops  {longest or 'none'} [{unit}]"])
+
+
+def _component(part: ComponentMap, index: int) -> JsonObject:
+    return {
+        "component": index,
+        "betti_numbers": list(part.betti_numbers),
+        "intervals": {str(dimension): list(_intervals(part.intervals[dimension])) for dimension in (0, 1)},
+        "n_encounters": part.n_encounters,
+        "n_used": part.n_used,
+        "n_points": part.n_points,
+        "n_landmarks": part.n_landmarks,
+        "diameter": part.diameter,
+        "cover_radius": part.cover_radius,
+        "epsilon": part.epsilon,
+        "lost_spectrum": part.lost_spectrum,
+    }
+
+
+def _intervals(intervals: FloatArray) -> list[JsonValue]:
+    return [[birth, death if isfinite(death) else None] for birth, death in intervals.tolist()]
+
+
+def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
+    rules = recipe.betti_rules or ()
+    return {
+        "method": str(recipe.method),
+        "metric": str(recipe.metric),
+        "profile_norm": str(recipe.profile_norm),
+        "moving_time": recipe.moving_time,
+        "bracketed": recipe.bracketed,
+        "smoothing_share": recipe.smoothing_share,
+        "outlier_k": recipe.outlier_k,
+        "outlier_q": recipe.outlier_q,
+        "n_points": recipe.n_points,
+        "encounters_per_point": recipe.encounters_per_point,
+        "n_anchors": recipe.n_anchors,
+        "epsilon_share": recipe.epsilon_share,
+        "betti_rules": {str(dimension): _rule(rule) for dimension, rule in enumerate(rules)},
+        "speed_mps": recipe.speed_mps,
+        "length_unit": length_unit,
+    }
+
+
+def _rule(rule: BettiRule) -> JsonObject:
+    return {"rule": str(rule.kind), "q": rule.q, "delta": rule.delta, "tau": rule.tau}
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

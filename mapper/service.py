@@ -1,0 +1,234 @@
+"""``biobot-mapper serve``: bus, store, map and web server in one process, and the computing process beside it."""
+
+import argparse
+import asyncio
+import contextlib
+import ipaddress
+import os
+import signal
+import socket
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import uvicorn
+
+from mapper.api.app import create_app
+from mapper.api.event_stream import EventStream
+from mapper.api.services import Services
+from mapper.bus import Bus
+from mapper.changes import Changes
+from mapper.commands import CommandDesk
+from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
+from mapper.current_map import CurrentMap
+from mapper.errors import ListenError, MapError, OutputFileError
+from mapper.fleet import Fleet
+from mapper.intake import Intake
+from mapper.log import EventLog, set_up_logging
+from mapper.store_thread import StoreThread
+from mapper.types import Method, MetricKind
+
+_log = EventLog(__name__)
+
+_FLAGS = ("site", "connect", "listen", "store", "host", "port", "allow_remote", "min_interval_s", "log_level")
+_LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
+_GRACEFUL_S = 5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of ``serve``; one that is not given is None and leaves the word to environment and configuration file."""
+    parser.add_argument(
+        "--connect", action="append", metavar="EP", help="Zenoh endpoint of a gateway or router (default: tcp/127.0.0.1:7447)"
+    )
+    parser.add_argument("--listen", action="append", metavar="EP", help="Zenoh endpoint to be found at (default: none)")
+    parser.add_argument("--site", help="site whose gateways are heard (default: local)")
+    parser.add_argument("--store", metavar="FILE", help="keep records in this file (default: in memory, filled again from the gateways)")
+    parser.add_argument("--host", help="address of the page (default: 127.0.0.1)")
+    parser.add_argument("--port", type=int, help="its port; 0 takes a free one (default: 8080)")
+    parser.add_argument(
+        "--allow-remote", action="store_const", const=True, help="let other machines in: whoever reaches the port may command"
+    )
+    parser.add_argument("--url-file", type=Path, metavar="FILE", help="write the page's URL there when it is up")
+    parser.add_argument("--min-interval-s", type=float, metavar="S", help="shortest time from one map to the next (default: 1)")
+    parser.add_argument("--speed-mps", type=float, metavar="V", help="walking speed [m/s]: lengths are then metres, else seconds")
+    parser.add_argument("--method", choices=[str(method) for method in Method], help="the whole recipe (default: default)")
+    parser.add_argument(
+        "--metric", choices=[str(metric) for metric in MetricKind], help="how encounters are compared (default: by the method)"
+    )
+    parser.add_argument("--log-level", choices=["DEBUG", "INFO", "WARNING", "ERROR"], help="(default: INFO)")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Serve until SIGTERM or SIGINT; a second signal leaves at once.
+
+    Raises
+    ------
+    ConfigurationError, MapError
+        The configuration is unfit, or store, bus or address cannot be had.
+    """
+    config = load_mapper_config(args.config, environment=os.environ, flags=_flags(args))
+    set_up_logging(level=config.serve.log_level)
+    try:
+        return asyncio.run(_serve(config, url_file=args.url_file))
+    except ExceptionGroup as group:
+        known = group.subgroup(MapError)
+        if known is None:
+            raise
+        raise _first(known) from group
+
+
+def _first(group: BaseExceptionGroup[MapError]) -> MapError:
+    first = group.exceptions[0]
+    return _first(first) if isinstance(first, BaseExceptionGroup) else first
+
+
+def _flags(args: argparse.Namespace) -> dict[str, object]:
+    flags: dict[str, object] = {f"serve.{name}": getattr(args, name) for name in _FLAGS}
+    return flags | {f"recipe.{name}": getattr(args, name) for name in ("method", "metric", "speed_mps")}
+
+
+async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
+    """Start address, store, bus, tasks, in this order; stop in reverse."""
+    serve = config.serve
+    stopping = asyncio.Event()
+    async with contextlib.AsyncExitStack() as stack:
+        listener = stack.enter_context(contextlib.closing(_listen(serve)))
+        records = await StoreThread.open(Path(serve.store) if serve.store is not None else None)
+        stack.push_async_callback(records.aclose)
+        bus = await Bus.open(site=serve.site, connect=serve.connect, listen=serve.listen)
+        stack.push_async_callback(bus.aclose)
+        changes, fleet = Changes(), Fleet()
+        intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes)
+        desk = CommandDesk(bus=bus, fleet=fleet, changes=changes)
+        current_map = CurrentMap(
+            records=records, recipe=make_recipe(config.recipe), fleet=fleet, changes=changes, min_interval_s=serve.min_interval_s
+        )
+
+        def counters() -> Mapping[str, int]:
+            return {**intake.counters, **{f"bus_{name}": number for name, number in bus.counters.items()}, "ignored": fleet.n_ignored}
+
+        def faults() -> list[str]:
+            return [fault for fault in (intake.store_fault, current_map.last_fault) if fault is not None]
+
+        services = Services(
+            records=records,
+            fleet=fleet,
+            current_map=current_map,
+            commands=desk,
+            changes=changes,
+            is_connected=lambda: bus.is_connected,
+            counters=counters,
+            faults=faults,
+        )
+        stream = EventStream(changes)
+        server = _Server(_server_config(services, stream, serve))
+        stack.enter_context(_signals_set(stopping))
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(part.run(), name=type(part).__name__) for part in (intake, desk, current_map)]
+            serving = group.create_task(server.serve(sockets=[listener]), name="http")
+            group.create_task(_announce(server, listener, serve=serve, url_file=url_file), name="announce")
+            await stopping.wait()
+            _log.info("mapper.stopping")
+            stream.close()
+            server.should_exit = True
+            await serving
+            for task in tasks:
+                task.cancel()
+    _log.info("mapper.stopped")
+    return 0
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals to the service, which has more to stop than the server, and says when it is up."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.is_up = asyncio.Event()
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self.is_up.set()
+
+
+def _server_config(services: Services, stream: EventStream, serve: ServiceConfig) -> uvicorn.Config:
+    allowed = None if serve.allow_remote else {*_LOOPBACK_NAMES, serve.host}
+    return uvicorn.Config(
+        create_app(services, stream=stream, allowed_hosts=allowed),
+        log_config=None,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        lifespan="off",
+        ws="none",
+        timeout_graceful_shutdown=_GRACEFUL_S,
+    )
+
+
+async def _announce(server: _Server, listener: socket.socket, *, serve: ServiceConfig, url_file: Path | None) -> None:
+    await server.is_up.wait()
+    url = _url(listener)
+    _log.info("mapper.up", url=url, site=serve.site, connect=",".join(serve.connect), store=serve.store or "memory")
+    print(f"map and operator page: {url}", file=sys.stderr, flush=True)  # noqa: T201  # a person wants to see it among the logs
+    if url_file is not None:
+        try:
+            partial = url_file.with_name(f".{url_file.name}.partial")
+            partial.write_text(url + "\n", encoding="utf-8")
+            partial.replace(url_file)
+        except OSError as error:
+            raise OutputFileError(path=str(url_file), reason=(error.strerror or str(error)).lower()) from error
+
+
+def _listen(serve: ServiceConfig) -> socket.socket:
+    address = f"{serve.host}:{serve.port}"
+    try:
+        family, _, _, _, target = socket.getaddrinfo(serve.host, serve.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+    except OSError as error:
+        raise ListenError(
+            address=address, reason=f"{serve.host!r} is no address of this machine ({error})", next_step="choose another --host"
+        ) from error
+    if not serve.allow_remote and not ipaddress.ip_address(target[0]).is_loopback:
+        raise ListenError(
+            address=address,
+            reason="other machines could reach it, and there are no users and passwords yet",
+            next_step="leave --host at 127.0.0.1, or accept with --allow-remote that whoever reaches the port may command",
+        )
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(target)
+        listener.listen(512)
+        listener.settimeout(0)
+    except OSError as error:
+        listener.close()
+        raise ListenError(
+            address=address, reason=(error.strerror or str(error)).lower(), next_step="choose another --port, or 0 for a free one"
+        ) from error
+    return listener
+
+
+def _url(listener: socket.socket) -> str:
+    host, port = listener.getsockname()[:2]
+    shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  # this is the address that is replaced
+    return f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
+
+
+@contextlib.contextmanager
+def _signals_set(stopping: asyncio.Event) -> Iterator[None]:
+    loop = asyncio.get_running_loop()
+
+    def stop(signal_number: signal.Signals) -> None:
+        if stopping.is_set():
+            os._exit(128 + signal_number)
+        stopping.set()
+
+    for signal_number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(signal_number, stop, signal_number)
+    try:
+        yield
+    finally:
+        for signal_number in (signal.SIGTERM, signal.SIGINT):
+            loop.remove_signal_handler(signal_number)

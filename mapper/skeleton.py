@@ -1,0 +1,57 @@
+"""The Rips complex as it is drawn: its edges and triangles at one scale."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapper.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Skeleton:
+    """Edges, shape (e, 2), and triangles, shape (t, 3): ascending indices of points, in lexicographic order."""
+
+    edges: IntArray
+    triangles: IntArray
+
+
+def build_skeleton(distances: FloatArray, *, epsilon: float) -> Skeleton:
+    """Join points at most ``epsilon`` apart; three points in pairs are a triangle.
+
+    Parameters
+    ----------
+    distances
+        Shape (m, m), symmetric, in the unit of ``epsilon``.
+    """
+    is_near = np.triu(distances <= epsilon, k=1)
+    edges = np.argwhere(is_near)
+    fans = [np.flatnonzero(is_near[i] & is_near[j]) for i, j in edges]
+    sizes = [len(fan) for fan in fans]
+    triangles = np.column_stack([np.repeat(edges, sizes, axis=0), np.concatenate([*fans, np.empty(0, dtype=np.int64)])])
+    return Skeleton(edges=edges.astype(np.int64), triangles=triangles.astype(np.int64))
+
+
+def choose_epsilon(real_loops: FloatArray, other_loops: FloatArray, merges: FloatArray) -> float:
+    """Choose a scale at which the holes found are open, and where it can be, the other loops closed.
+
+    Parameters
+    ----------
+    real_loops, other_loops
+        Birth and death of the holes called real and of the other loops, shape (m, 2).
+    merges
+        Scales at which components merge, shape (m,).
+
+    Notes
+    -----
+    Half way between the last birth and the first death of the real holes; their last birth where they do not live at one time.
+    With no hole: the scale at which everything is joined and every loop closed.
+    """
+    if len(real_loops) == 0:
+        return _largest([*merges, *other_loops[:, 1]])
+    last_birth, first_death = float(real_loops[:, 0].max()), float(real_loops[:, 1].min())
+    return (last_birth + first_death) / 2 if last_birth < first_death else last_birth
+
+
+def _largest(values: Sequence[float]) -> float:
+    return float(max(values, default=0.0))

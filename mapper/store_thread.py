@@ -1,0 +1,46 @@
+"""Run the store on one thread of its own, so that the event loop never waits for a disk."""
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Concatenate, ParamSpec, Self, TypeVar
+
+from mapper.store import Store
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+class StoreThread:
+    """A store and its thread; calls run one after another, in order. Made by `open`."""
+
+    def __init__(self, store: Store, executor: ThreadPoolExecutor) -> None:
+        self._store = store
+        self._executor = executor
+
+    @classmethod
+    async def open(cls, path: Path | None) -> Self:
+        """Open a store as `Store` does.
+
+        Raises
+        ------
+        StoreError
+            See `Store`.
+        """
+        executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="store")
+        try:
+            store = await asyncio.get_running_loop().run_in_executor(executor, Store, path)
+        except BaseException:
+            executor.shutdown(wait=False)
+            raise
+        return cls(store, executor)
+
+    async def call(self, method: Callable[Concatenate[Store, _P], _T], *args: _P.args, **kwargs: _P.kwargs) -> _T:
+        """Call a method of the store there: ``await records.call(Store.snapshot)``."""
+        return await asyncio.get_running_loop().run_in_executor(self._executor, lambda: method(self._store, *args, **kwargs))
+
+    async def aclose(self) -> None:
+        """Finish what was asked for, then close the file."""
+        await self.call(Store.close)
+        self._executor.shutdown()

@@ -1,0 +1,207 @@
+"""What the stages of the mapper hand to each other: encounters, mode spells, the recipe, and the finished map.
+
+Every class is frozen; arrays in them are read-only. Kernels count time in *ticks* of half a nanosecond, because the centre
+``(t_start + t_end) / 2`` of an encounter is then a whole number; finished results are in seconds, or in metres where a speed is given.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.contract.records import Cause, Mode
+from firmware_protocol.units import NodeId
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+ArrayT = TypeVar("ArrayT", IntArray, FloatArray)
+
+TICKS_PER_S = 2_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EncounterTable:
+    """Encounters in canonical order: by start, end, then ids.
+
+    All arrays have shape (n,). ``t_start_ns <= t_end_ns`` [ns, any one clock] and ``id1 < id2`` hold in every row;
+    ``source_row`` is the place of the row in the data it was made from, counted from 0. Build one with
+    ``mapper.window.make_encounter_table``.
+    """
+
+    t_start_ns: IntArray
+    t_end_ns: IntArray
+    id1: IntArray
+    id2: IntArray
+    source_row: IntArray
+
+    def __len__(self) -> int:
+        return len(self.t_start_ns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeSpell:
+    """A time in which one biobot kept one mode; ``t_end_ns`` is None while it lasts. Both ends belong to it."""
+
+    node: NodeId
+    t_start_ns: int
+    t_end_ns: int | None
+    mode: Mode
+    cause: Cause
+
+
+class Method(StrEnum):
+    """A whole recipe: the project's best, or [Dir16] to the letter."""
+
+    DEFAULT = "default"
+    PAPER = "paper"
+
+
+class MetricKind(StrEnum):
+    """How two encounters are compared."""
+
+    ENCOUNTER = "encounter"
+    LANDMARK_PROFILE = "landmark_profile"
+
+
+class ProfileNorm(StrEnum):
+    """How the differences of two landmark profiles become one number: the largest, or the root mean square."""
+
+    MAX = "max"
+    RMS = "rms"
+
+
+class BettiRuleKind(StrEnum):
+    """How an interval is judged: against a quantile of all lengths (eq. 15 of [Dir16]), or by death over birth."""
+
+    QUANTILE = "quantile"
+    RATIO = "ratio"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BettiRule:
+    """Which intervals of one dimension are real; lengths are shares of the metric's diameter.
+
+    ``QUANTILE``: ``length / (r_q + delta) > tau``. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
+    """
+
+    kind: BettiRuleKind
+    q: float
+    delta: float
+    tau: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """The parameters of the method; ``mapper.config.make_recipe`` builds the two named ones.
+
+    ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
+    those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
+    vertices around each. The subsample has ``n_points``, or fewer where ``encounters_per_point`` encounters do not stand behind
+    each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes those trained for this method and
+    metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets the holes found decide.
+    ``speed_mps`` None gives lengths in seconds.
+    """
+
+    method: Method
+    metric: MetricKind
+    profile_norm: ProfileNorm
+    moving_time: bool
+    bracketed: bool
+    smoothing_share: float
+    outlier_k: int
+    outlier_q: float
+    n_points: int
+    encounters_per_point: int
+    n_anchors: int
+    betti_rules: tuple[BettiRule, BettiRule] | None
+    epsilon_share: float | None
+    speed_mps: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Points:
+    """The encounters of the subsample, placed in the plane.
+
+    All arrays have shape (p,). ``x`` and ``y`` are map coordinates [unit of lengths]; ``t_ns`` is the centre of the encounter [ns, rounded
+    down]; ``component`` says which of ``MapResult.components`` it is in, and the points of one component stand together;
+    ``encounter`` is the row in the encounter table.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    t_ns: IntArray
+    id1: IntArray
+    id2: IntArray
+    component: IntArray
+    encounter: IntArray
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ComponentMap:
+    """One connected component of the encounter graph, mapped. Lengths are in the unit of the map.
+
+    ``intervals[k]`` has shape (m, 2): birth and death in dimension k, longest first; a death that never comes is inf.
+    ``n_used`` encounters were left after the outliers were dropped. ``cover_radius``: none of them is further than this from a point of
+    the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places where a landmark stood.
+    ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``.
+    """
+
+    n_encounters: int
+    n_used: int
+    n_points: int
+    n_landmarks: int
+    diameter: float
+    cover_radius: float
+    epsilon: float
+    lost_spectrum: float
+    distances: FloatArray
+    intervals: tuple[FloatArray, FloatArray]
+    betti_numbers: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hole:
+    """A hole called real: ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,)."""
+
+    component: int
+    birth: float
+    death: float
+    outline: IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MapResult:
+    """A finished map.
+
+    ``components`` are those that were mapped, the largest first; ``n_components`` counts all there are. ``edges`` (e, 2) and ``triangles``
+    (t, 3) are indices of points: the Rips complex of each component at its ``epsilon``. ``diameter`` is the largest of
+    any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m".
+    """
+
+    betti_numbers: tuple[int, int]
+    points: Points
+    components: tuple[ComponentMap, ...]
+    holes: tuple[Hole, ...]
+    edges: IntArray
+    triangles: IntArray
+    diameter: float
+    lost_spectrum: float
+    n_encounters: int
+    n_used: int
+    n_components: int
+    length_unit: str
+    recipe: Recipe
+    warnings: tuple[str, ...]
+
+
+def read_only(array: ArrayT) -> ArrayT:
+    """Forbid writing to an array, and return it."""
+    array.setflags(write=False)
+    return array

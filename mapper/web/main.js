@@ -1,0 +1,136 @@
+// Wires the page: what changed is fetched again, and only that.
+
+import { DiagramView } from "./diagram_view.js";
+import { age, count, length } from "./format.js";
+import { MapView } from "./map_view.js";
+import { makeFetcher, watch } from "./net.js";
+import { Roster } from "./roster.js";
+
+const MIN_PERIOD_MS = 400;
+const PHASES = { idle: "no mission", dispersion: "dispersion", landmark_selection: "choosing landmarks", exploration: "exploration", done: "mission done" };
+
+const element = (id) => document.getElementById(id);
+const mapView = new MapView(element("map-canvas"), element("map-tip"));
+const diagramView = new DiagramView(element("diagram"), { onChoose: (hole) => mapView.choose(hole) });
+const roster = new Roster({ body: element("rows"), empty: element("no-rows"), filter: element("filter"), operator: element("operator"), outcome: element("outcome") });
+
+const fetchers = Object.fromEntries(Object.entries({ health: "/healthz", map: "/api/v1/map", diagram: "/api/v1/diagram", biobots: "/api/v1/biobots", mission: "/api/v1/mission" }).map(([name, path]) => [name, makeFetcher(path)]));
+let map = null;
+let diagram = null;
+let mapMadeAt = null;
+let isLineUp = false;
+let gateways = [];
+
+/** Run a task soon, once for many calls, and never twice at a time. */
+function paced(task) {
+  let isWanted = false, isRunning = false;
+  const run = async () => {
+    isRunning = true;
+    while (isWanted) {
+      isWanted = false;
+      // The event stream tells when the line is down; here the next change simply tries again.
+      await task().catch((error) => console.warn(error.message));
+      await new Promise((resolve) => setTimeout(resolve, MIN_PERIOD_MS));
+    }
+    isRunning = false;
+  };
+  return () => {
+    isWanted = true;
+    if (!isRunning) run();
+  };
+}
+
+const refreshMap = paced(async () => {
+  const health = await fetchers.health();
+  showNotices(health);
+  if (health.map_version === null) return showWaiting(health);
+  const [newMap, newDiagram] = await Promise.all([fetchers.map(), fetchers.diagram()]);
+  map = newMap ?? map;
+  diagram = newDiagram ?? diagram;
+  mapMadeAt = performance.now() - (health.wall_ns - map.computed_wall_ns) / 1e6;
+  element("waiting").hidden = true;
+  element("save").hidden = false;
+  mapView.show(map);
+  diagramView.show(diagram, map.holes);
+  ["component", "hole"].forEach((word, dimension) => {
+    const number = map.betti_numbers[dimension];
+    element(`${word}s`).textContent = count(number);
+    element(`${word}s-word`).textContent = number === 1 ? word : `${word}s`;
+  });
+  element("encounters").textContent = count(map.n_encounters);
+  element("encounters").title = map.n_before ? `${count(map.n_before)} more, from before the landmarks stood, are left out` : "";
+  element("diameter").textContent = length(map.diameter, map.parameters.length_unit);
+  const scales = [...new Set(map.components.map((part) => length(part.epsilon, map.parameters.length_unit)))];
+  element("epsilon").textContent = `= ${scales.slice(0, 2).join(", ")}`;
+  tick();
+});
+
+const refreshBiobots = paced(async () => {
+  const answer = await fetchers.biobots();
+  gateways = answer.gateways;
+  roster.show(answer);
+  const landmarks = answer.biobots.filter((biobot) => biobot.is_landmark).length;
+  element("biobots").textContent = landmarks ? `${count(answer.biobots.length)} (${landmarks} landmarks)` : count(answer.biobots.length);
+  showLink();
+});
+
+const refreshMission = paced(async () => {
+  const { phase } = await fetchers.mission();
+  element("mission").hidden = phase === null;
+  if (phase) element("mission").textContent = PHASES[phase.phase] ?? phase.phase;
+});
+
+function showWaiting(health) {
+  element("encounters").textContent = count(health.n_encounters);
+  element("waiting").hidden = false;
+  element("waiting-text").textContent = health.waiting ?? "The map begins when biobots have met.";
+}
+
+function showNotices(health) {
+  element("notices").textContent = [...health.faults, ...(map?.warnings ?? [])].join(" · ");
+}
+
+function showLink() {
+  const alive = gateways.filter((gateway) => gateway.is_alive);
+  const [state, words] = !isLineUp ? ["bad", "mapper does not answer, trying again"]
+    : alive.length ? ["good", `live, ${alive.length === 1 ? `gateway ${alive[0].name}` : `${alive.length} gateways`}`]
+      : gateways.length ? ["bad", `gateway ${gateways.map((gateway) => gateway.name).join(", ")} is away`] : ["wait", "no gateway yet"];
+  element("link").className = `chip state-${state}`;
+  if (element("link-text").textContent !== words) element("link-text").textContent = words;
+}
+
+function tick() {
+  element("age").textContent = mapMadeAt === null ? "–" : age((performance.now() - mapMadeAt) / 1000);
+  roster.tick();
+}
+
+for (const box of document.querySelectorAll("[data-layer]")) box.addEventListener("change", () => mapView.setLayer(box.dataset.layer, box.checked));
+element("zoom-in").addEventListener("click", () => mapView.zoom(1.3));
+element("zoom-out").addEventListener("click", () => mapView.zoom(1 / 1.3));
+element("zoom-fit").addEventListener("click", () => mapView.fit());
+for (const [id, isBarcode] of [["as-diagram", false], ["as-barcode", true]]) {
+  element(id).addEventListener("click", () => {
+    element("as-diagram").setAttribute("aria-pressed", String(!isBarcode));
+    element("as-barcode").setAttribute("aria-pressed", String(isBarcode));
+    diagramView.setBarcode(isBarcode);
+  });
+}
+
+let seen = {};
+watch({
+  onState: (isUp) => {
+    if (isUp && !isLineUp) seen = {};
+    isLineUp = isUp;
+    showLink();
+  },
+  onVersions: (versions) => {
+    const hasNews = (...topics) => topics.some((topic) => versions[topic] !== seen[topic]);
+    if (hasNews("map")) refreshMap();
+    if (hasNews("map", "biobots", "commands")) refreshBiobots();
+    if (hasNews("mission")) refreshMission();
+    seen = versions;
+  },
+});
+setInterval(tick, 1000);
+// A gateway that falls silent causes no event.
+setInterval(() => isLineUp && refreshBiobots(), 5000);

@@ -1,0 +1,132 @@
+"""One process for long computations, so that they never hold up the event loop. It is started anew when it dies."""
+
+import asyncio
+import contextlib
+import multiprocessing
+import os
+import signal
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from typing import Any, ParamSpec, TypeVar
+
+from mapper.errors import JobError, WorkerDiedError
+from mapper.log import EventLog
+
+_log = EventLog(__name__)
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+# Behind requests and radio traffic in the queue for the processors.
+_NICENESS = 5
+_JOIN_S = 5.0
+
+
+class Worker:
+    """A process that runs one job at a time; it starts with the first job."""
+
+    def __init__(self, *, name: str) -> None:
+        self._name = name
+        self._lock = asyncio.Lock()
+        self._process: SpawnProcess | None = None
+        self._connection: Connection | None = None
+        self.n_starts = 0
+
+    @property
+    def pid(self) -> int | None:
+        """The process's number; None while there is none."""
+        return self._process.pid if self._process is not None else None
+
+    async def run(self, job: Callable[_P, _T], *args: _P.args, **kwargs: _P.kwargs) -> _T:
+        """Run a function of a module in the process and return what it returns; jobs wait for each other.
+
+        Raises
+        ------
+        WorkerDiedError
+            The process ended before its answer.
+        JobError
+            The function raised.
+        """
+        async with self._lock:
+            try:
+                answer = await asyncio.to_thread(self._exchange, (job, args, kwargs))
+            except (EOFError, OSError) as error:
+                raise WorkerDiedError(exit_code=await asyncio.to_thread(self._stop)) from error
+            except asyncio.CancelledError:
+                # The answer would be taken for that of the next job.
+                await self.aclose()
+                raise
+        if isinstance(answer, _Raised):
+            _log.error("job.raised", worker=self._name, reason=answer.reason, traceback=answer.details)
+            raise JobError(reason=answer.reason, details=answer.details)
+        result: _T = answer
+        return result
+
+    async def aclose(self) -> None:
+        """End the process, whatever it does."""
+        if self._process is not None:
+            self._process.kill()
+        await asyncio.to_thread(self._stop)
+
+    def _exchange(self, request: object) -> Any:
+        if self._connection is None:
+            self._start()
+        assert self._connection is not None
+        self._connection.send(request)
+        return self._connection.recv()
+
+    def _start(self) -> None:
+        # "spawn": a fork would copy Zenoh's threads' locks in whatever state they are.
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), name=self._name, daemon=True)
+        self._process.start()
+        theirs.close()
+        self._connection = ours
+        self.n_starts += 1
+
+    def _stop(self) -> int | None:
+        process, self._process = self._process, None
+        connection, self._connection = self._connection, None
+        exit_code = None
+        if process is not None:
+            process.join(_JOIN_S)
+            exit_code = process.exitcode
+            process.kill()
+            process.join()
+            process.close()
+        # Only now: a thread may still be reading, until the process's end is closed.
+        if connection is not None:
+            connection.close()
+        return exit_code
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Raised:
+    """The answer of a job that raised."""
+
+    reason: str
+    details: str
+
+
+def _serve(connection: Connection) -> None:
+    # Ctrl-C reaches the whole process group; the parent decides when this process ends.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.nice(_NICENESS)
+    while True:
+        try:
+            job, args, kwargs = connection.recv()
+        except EOFError:
+            return
+        try:
+            answer = job(*args, **kwargs)
+        except Exception as error:  # noqa: BLE001  # whatever a job raises is its answer
+            answer = _Raised(reason=f"{type(error).__name__}: {error}", details=traceback.format_exc())
+        try:
+            connection.send(answer)
+        except BrokenPipeError:
+            return

@@ -1,0 +1,81 @@
+"""The mapper's parts, put together as the service does, without the web server."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+
+from mapper.api.services import Services
+from mapper.bus import Bus
+from mapper.changes import Changes
+from mapper.commands import CommandDesk
+from mapper.config import RecipeConfig, make_recipe
+from mapper.current_map import CurrentMap
+from mapper.fleet import Fleet
+from mapper.intake import Intake
+from mapper.store import Store
+from mapper.store_thread import StoreThread
+from tests.mapper.fake_gateway import SITE
+
+DEADLINE_S = 20.0
+PERIOD_S = 0.02
+
+
+async def until(is_met: Callable[[], bool]) -> None:
+    async with asyncio.timeout(DEADLINE_S):
+        while not is_met():  # noqa: ASYNC110  # what is watched changes on other threads and in other processes
+            await asyncio.sleep(PERIOD_S)
+
+
+@dataclass(frozen=True)
+class Side:
+    bus: Bus
+    records: StoreThread
+    fleet: Fleet
+    intake: Intake
+    changes: Changes
+    desk: CommandDesk
+    current_map: CurrentMap
+
+    @property
+    def services(self) -> Services:
+        return Services(
+            records=self.records,
+            fleet=self.fleet,
+            current_map=self.current_map,
+            commands=self.desk,
+            changes=self.changes,
+            is_connected=lambda: self.bus.is_connected,
+            counters=lambda: self.intake.counters,
+            faults=list,
+        )
+
+    async def until(self, is_met: Callable[[Store], bool]) -> None:
+        """Wait until the store is as wanted."""
+        async with asyncio.timeout(DEADLINE_S):
+            while not await self.records.call(is_met):  # noqa: ASYNC110  # same
+                await asyncio.sleep(PERIOD_S)
+
+    async def n_encounters(self) -> int:
+        return await self.records.call(lambda store: store.n_encounters)
+
+
+@asynccontextmanager
+async def mapper_side(port: int, *, with_map: bool = False) -> AsyncIterator[Side]:
+    records = await StoreThread.open(None)
+    bus = await Bus.open(site=SITE, connect=(f"tcp/127.0.0.1:{port}",), listen=())
+    fleet, changes = Fleet(), Changes()
+    intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes)
+    desk = CommandDesk(bus=bus, fleet=fleet, changes=changes)
+    current_map = CurrentMap(records=records, recipe=make_recipe(RecipeConfig()), fleet=fleet, changes=changes, min_interval_s=0.1)
+    runs = [intake.run(), desk.run(), *([current_map.run()] if with_map else [])]
+    tasks = [asyncio.create_task(run) for run in runs]
+    try:
+        yield Side(bus=bus, records=records, fleet=fleet, intake=intake, changes=changes, desk=desk, current_map=current_map)
+        assert not any(task.done() for task in tasks)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await bus.aclose()
+        await records.aclose()

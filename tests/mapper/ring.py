@@ -1,0 +1,18 @@
+"""A journal of biobots that walked a ring: its map has one component and one hole."""
+
+from firmware_protocol.contract.records import JournalRecord
+from tests.mapper.fake_gateway import encounter, mode
+from tests.mapper.worlds import walk_track
+
+
+def ring_records() -> list[JournalRecord]:
+    """Return mode records of twelve landmarks (ids from 1001), then about 600 encounters of five walkers (ids from 1)."""
+    rows, spells = walk_track(n_landmarks=12, n_walkers=5, duration_s=120.0, seed=1, is_ring=True)
+    records: list[JournalRecord] = [
+        mode(offset, node=spell.node, t_ns=(spell.t_start_ns, spell.t_end_ns)) for offset, spell in enumerate(spells, start=1)
+    ]
+    records += [
+        encounter(offset, nodes=(first, second), t_ns=(begin, end))
+        for offset, (begin, end, first, second) in enumerate(sorted(rows), start=len(records) + 1)
+    ]
+    return records

@@ -1,0 +1,36 @@
+"""`biobot-mapper serve` as a real process, on a free port."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+START_S = 30.0
+STOP_S = 15.0
+
+
+@contextmanager
+def serving(directory: Path, *, connect: int, arguments: Sequence[str] = ()) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """Yield the page's URL and the process; end it as an operator would, and find that it ends well."""
+    url_file = directory / "url"
+    url_file.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "mapper", "serve", "--port", "0", "--url-file", str(url_file), "--connect", f"tcp/127.0.0.1:{connect}"]
+    with (directory / "mapper.log").open("a", encoding="utf-8") as log:
+        process = subprocess.Popen([*command, *arguments], stdout=log, stderr=log, text=True)
+    try:
+        deadline = time.monotonic() + START_S
+        while not url_file.exists():
+            assert process.poll() is None, (directory / "mapper.log").read_text()
+            assert time.monotonic() < deadline, "the mapper did not come up"
+            time.sleep(0.02)
+        yield url_file.read_text().strip(), process
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(STOP_S) == 0, (directory / "mapper.log").read_text()
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()

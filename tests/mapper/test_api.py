@@ -1,0 +1,357 @@
+"""The web API: what it promises in its OpenAPI document, on good, bad and hostile requests."""
+
+import asyncio
+import json
+import re
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from http import HTTPStatus
+from typing import Any
+
+import httpx
+import jsonschema
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from starlette.routing import Route
+
+from firmware_protocol.contract.records import MissionPhase, Stage
+from firmware_protocol.units import NodeId
+from mapper import errors
+from mapper.api.app import create_app, create_unguarded_app
+from mapper.api.errors import STATUS_OF
+from mapper.api.event_stream import EventStream
+from mapper.api.guards import MAX_BODY_BYTES
+from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, encounter, free_port, mission
+from tests.mapper.mapper_side import Side, mapper_side, until
+from tests.mapper.ring import ring_records
+
+BASE = "http://127.0.0.1"
+HUGE = 2**64 - 1
+
+
+@asynccontextmanager
+async def client_of(side: Side) -> AsyncIterator[httpx.AsyncClient]:
+    app = create_app(side.services, stream=EventStream(side.changes), allowed_hosts={"127.0.0.1", "localhost"})
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app, raise_app_exceptions=False), base_url=BASE) as client:
+        yield client
+
+
+def openapi_of(side: Side) -> dict[str, Any]:
+    return create_unguarded_app(side.services, stream=EventStream(side.changes)).openapi()
+
+
+def check_against(document: dict[str, Any], path: str, answer: httpx.Response, *, method: str = "get") -> None:
+    """The status is a documented one, and the body is as described."""
+    described = document["paths"][path][method]["responses"][str(answer.status_code)]
+    content = described.get("content", {})
+    media_type = answer.headers.get("content-type", "").split(";")[0]
+    if answer.status_code == HTTPStatus.NOT_MODIFIED:
+        assert answer.content == b""
+        return
+    assert media_type in content
+    if "json" in media_type:
+        schema = {**content[media_type]["schema"], "components": document["components"]}
+        jsonschema.Draft202012Validator(schema).validate(answer.json())
+
+
+def run(story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]], *, with_map: bool = False) -> None:
+    async def whole() -> None:
+        port = free_port()
+        with FakeGateway(port=port) as gateway:
+            async with mapper_side(port, with_map=with_map) as side, client_of(side) as client:
+                await until(lambda: side.bus.is_connected)
+                await story(side, gateway, client)
+
+    asyncio.run(whole())
+
+
+async def meet(side: Side, gateway: FakeGateway, node: int) -> None:
+    gateway.publish_status()
+    gateway.publish_node(node)
+    await until(lambda: side.fleet.gateway_of(NodeId(node)) is not None)
+
+
+def test_every_answer_is_as_the_openapi_document_says() -> None:
+    async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        document = openapi_of(side)
+        assert (await client.get("/openapi.json")).json() == document
+        gets = [path for path, methods in document["paths"].items() if "get" in methods and path != "/api/v1/events"]
+        await until(lambda: side.current_map.waiting_for.minimum > 0)
+        for path in gets:
+            check_against(document, path, await client.get(path.replace("{command_id}", "unknown")))
+        records = ring_records()
+        last = records[-1].offset
+        phase = mission(last + 1, phase=MissionPhase.EXPLORATION, t_ns=0, landmarks=(7, HUGE))
+        gateway.journal_records([*records, phase, encounter(last + 2, nodes=(1, HUGE), is_void=True)])
+        await meet(side, gateway, HUGE)
+        await until(lambda: side.current_map.latest is not None)
+        done = await client.post("/api/v1/commands", json={"biobot": str(HUGE), "action": "stop", "operator": "anna", "id": "one"})
+        assert done.status_code == HTTPStatus.OK
+        check_against(document, "/api/v1/commands", done, method="post")
+        for path in gets:
+            answer = await client.get(path.replace("{command_id}", "one"))
+            assert answer.status_code == HTTPStatus.OK, path
+            check_against(document, path, answer)
+        phases = (await client.get("/api/v1/mission")).json()
+        assert phases["phase"]["landmarks"] == [7, HUGE]
+        biobots = (await client.get("/api/v1/biobots")).json()["biobots"]
+        assert [biobot["key"] for biobot in biobots if biobot["mode"] == "CRW"] == [str(HUGE)]
+        for component in document["components"]["schemas"].values():
+            assert component.get("description"), component["title"]
+
+    run(story, with_map=True)
+
+
+def test_the_map_is_sent_once_for_a_version() -> None:
+    async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        gateway.journal_records(ring_records())
+        gateway.publish_status()
+        await until(lambda: side.current_map.latest is not None)
+        for path in ("/api/v1/map", "/api/v1/diagram", "/api/v1/map.svg", "/api/v1/map.png"):
+            first = await client.get(path)
+            etag = first.headers["etag"]
+            assert first.headers["cache-control"] == "no-cache"
+            for tags in (etag, f'"other", {etag}', f"W/{etag}", "*"):
+                again = await client.get(path, headers={"If-None-Match": tags})
+                assert (again.status_code, again.content, again.headers["etag"]) == (HTTPStatus.NOT_MODIFIED, b"", etag)
+            assert (await client.get(path, headers={"If-None-Match": '"other"'})).content == first.content
+            head = await client.head(path)
+            assert (head.status_code, head.content) == (HTTPStatus.OK, b"")
+            assert head.headers["content-length"] == str(len(first.content))
+
+    run(story, with_map=True)
+
+
+def test_before_the_first_map_the_answer_says_what_is_awaited() -> None:
+    async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        gateway.journal_records([encounter(1)])
+        gateway.publish_status()
+        await until(lambda: side.current_map.waiting_for.n_encounters == 1 and side.current_map.waiting_for.minimum > 0)
+        for path in ("map", "diagram", "map.svg", "map.png"):
+            answer = await client.get(f"/api/v1/{path}")
+            assert answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE
+            assert answer.headers["retry-after"] == "1"
+            assert answer.json()["detail"] == "not enough encounters yet: 1 of at least 2"
+        assert (await client.get("/healthz")).json()["waiting"] == "not enough encounters yet: 1 of at least 2"
+
+    run(story, with_map=True)
+
+
+def test_encounters_come_in_pages() -> None:
+    async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        gateway.journal_records([encounter(n) for n in range(1, 251)])
+        gateway.publish_status()
+        await side.until(lambda store: store.n_encounters == 250)
+        seen: list[int] = []
+        after: int | None = 0
+        while after is not None:
+            page = (await client.get("/api/v1/encounters", params={"after": after, "limit": 100})).json()
+            seen += [item["sequence"] for item in page["encounters"]]
+            after = page["next"]
+        assert seen == list(range(1, 251))
+        assert page["encounters"][0]["t_start_wall_ns"] == ANCHOR_NS
+        for bad in ({"limit": 0}, {"limit": 1001}, {"after": -1}, {"after": "x"}, {"after": 2**63}, {"limit": "1e2"}):
+            answer = await client.get("/api/v1/encounters", params=bad)
+            assert answer.status_code == HTTPStatus.UNPROCESSABLE_ENTITY
+            assert next(iter(bad)) in answer.json()["detail"]
+
+    run(story)
+
+
+def test_a_command_answers_with_its_stages_and_its_refusals_with_their_reason() -> None:
+    async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        stop = {"biobot": 5, "action": "stop", "operator": "anna"}
+        unknown = await client.post("/api/v1/commands", json=stop)
+        assert unknown.status_code == HTTPStatus.NOT_FOUND
+        assert "biobot 5" in unknown.json()["detail"]
+        await meet(side, gateway, 5)
+        done = (await client.post("/api/v1/commands", json={**stop, "biobot": "5", "ttl_ms": 700, "id": "a.b-c_1"})).json()
+        assert [stage["stage"] for stage in done["stages"]] == ["accepted", "radio_confirmed", "biobot_confirmed"]
+        assert (done["outcome"], done["biobot"], done["operator"], done["stages"][-1]["mode"]) == ("biobot_confirmed", 5, "anna", "S")
+        assert (gateway.commands[0].ttl_ms, gateway.commands[0].node) == (700, 5)
+        again = (await client.post("/api/v1/commands", json={**stop, "id": "a.b-c_1"})).json()
+        assert again == done
+        assert len(gateway.commands) == 1
+        clash = await client.post("/api/v1/commands", json={**stop, "action": "start", "id": "a.b-c_1"})
+        assert clash.status_code == HTTPStatus.CONFLICT
+        gateway.answer = lambda _request: (Stage.REFUSED,)
+        refused = await client.post("/api/v1/commands", json=stop)
+        assert refused.status_code == HTTPStatus.CONFLICT
+        assert refused.json()["reason"] == "too soon after the train before"
+        gateway.answer = lambda _request: (Stage.ACCEPTED, Stage.FAILED)
+        failed = await client.post("/api/v1/commands", json=stop)
+        assert (failed.status_code, failed.json()["outcome"]) == (HTTPStatus.OK, "failed")
+        listed = (await client.get("/api/v1/commands", params={"limit": 2})).json()["commands"]
+        assert [command["outcome"] for command in listed] == ["failed", "refused"]
+        assert (await client.get("/api/v1/commands/a.b-c_1")).json() == done
+        assert (await client.get("/api/v1/commands/none")).status_code == HTTPStatus.NOT_FOUND
+
+    run(story)
+
+
+BAD_BODIES: list[tuple[str, bytes]] = [
+    ("empty", b""),
+    ("no json", b"stop 5"),
+    ("cut off", b'{"biobot": 5, "action": "st'),
+    ("array", b"[]"),
+    ("null", b"null"),
+    ("not utf-8", b'{"biobot": 5, "action": "stop", "operator": "\xff\xfe"}'),
+    ("lone surrogate", b'{"biobot": 5, "action": "stop", "operator": "\\ud800"}'),
+    ("nan", b'{"biobot": NaN, "action": "stop", "operator": "a"}'),
+    ("infinity", b'{"biobot": 1e999, "action": "stop", "operator": "a"}'),
+    ("endless number", b'{"biobot": ' + b"9" * 6000 + b', "action": "stop", "operator": "a"}'),
+    ("deep", b"[" * 30_000 + b"]" * 30_000),
+    ("fraction", b'{"biobot": 5.0, "action": "stop", "operator": "a"}'),
+    ("truth", b'{"biobot": true, "action": "stop", "operator": "a"}'),
+    ("negative", b'{"biobot": -1, "action": "stop", "operator": "a"}'),
+    ("too high", b'{"biobot": 18446744073709551616, "action": "stop", "operator": "a"}'),
+    ("too high, as text", b'{"biobot": "99999999999999999999", "action": "stop", "operator": "a"}'),
+    ("other digits", '{"biobot": "٥", "action": "stop", "operator": "a"}'.encode()),
+    ("no action", b'{"biobot": 5, "operator": "a"}'),
+    ("other action", b'{"biobot": 5, "action": "explode", "operator": "a"}'),
+    ("nobody", b'{"biobot": 5, "action": "stop", "operator": ""}'),
+    ("long name", b'{"biobot": 5, "action": "stop", "operator": "' + b"a" * 65 + b'"}'),
+    ("control characters", b'{"biobot": 5, "action": "stop", "operator": "a\\u0000b"}'),
+    ("line break", b'{"biobot": 5, "action": "stop", "operator": "a\\n"}'),
+    ("extra", b'{"biobot": 5, "action": "stop", "operator": "a", "amplitude_mv": 9000}'),
+    ("text for a number", b'{"biobot": 5, "action": "stop", "operator": "a", "ttl_ms": "100"}'),
+    ("no time", b'{"biobot": 5, "action": "stop", "operator": "a", "ttl_ms": 0}'),
+    ("too long", b'{"biobot": 5, "action": "stop", "operator": "a", "ttl_ms": 60001}'),
+    ("id with a slash", b'{"biobot": 5, "action": "stop", "operator": "a", "id": "../x"}'),
+    ("id with a line break", b'{"biobot": 5, "action": "stop", "operator": "a", "id": "x\\n"}'),
+]
+
+
+def test_no_bad_body_reaches_a_gateway() -> None:
+    async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        await meet(side, gateway, 5)
+        document = openapi_of(side)
+        for name, body in BAD_BODIES:
+            answer = await client.post("/api/v1/commands", content=body, headers={"Content-Type": "application/json"})
+            assert answer.status_code in {HTTPStatus.BAD_REQUEST, HTTPStatus.UNPROCESSABLE_ENTITY}, name
+            check_against(document, "/api/v1/commands", answer, method="post")
+        for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x"):
+            fine = b'{"biobot": 5, "action": "stop", "operator": "a"}'
+            answer = await client.post("/api/v1/commands", content=fine, headers={"Content-Type": kind})
+            assert answer.status_code == HTTPStatus.UNPROCESSABLE_ENTITY, kind
+        assert gateway.commands == []
+
+    run(story)
+
+
+def test_requests_from_elsewhere_and_requests_too_large_are_refused() -> None:
+    async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        await meet(side, gateway, 5)
+        stop = {"biobot": 5, "action": "stop", "operator": "anna"}
+        for host in ("evil.example", "127.0.0.1.evil.example", "", "[", "localhost@evil.example:80"):
+            answer = await client.get("/api/v1/biobots", headers={"Host": host})
+            assert answer.status_code == HTTPStatus.MISDIRECTED_REQUEST, host
+        for host in ("localhost", "LOCALHOST:8080", "127.0.0.1:1"):
+            assert (await client.get("/api/v1/biobots", headers={"Host": host})).status_code == HTTPStatus.OK
+        for origin in ("http://evil.example", "null", "http://127.0.0.1:9999"):
+            answer = await client.post("/api/v1/commands", json=stop, headers={"Origin": origin})
+            assert answer.status_code == HTTPStatus.FORBIDDEN, origin
+        large = b'{"operator": "' + b"a" * MAX_BODY_BYTES + b'"}'
+        announced = await client.post("/api/v1/commands", content=large, headers={"Content-Type": "application/json"})
+
+        async def trickle() -> AsyncIterator[bytes]:
+            for _ in range(100):
+                yield b" " * 1000
+
+        unannounced = await client.post("/api/v1/commands", content=trickle(), headers={"Content-Type": "application/json"})
+        for answer in (announced, unannounced):
+            assert answer.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+            assert answer.headers["content-type"] == "application/problem+json"
+        assert gateway.commands == []
+        assert (await client.post("/api/v1/commands", json=stop, headers={"Origin": BASE})).status_code == HTTPStatus.OK
+
+    run(story)
+
+
+def test_every_answer_has_the_headers_that_keep_the_page_to_itself() -> None:
+    async def story(_side: Side, _gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        for path in ("/", "/static/main.js", "/static/none.js", "/healthz", "/readyz", "/api/v1/map", "/none", "/openapi.json"):
+            answer = await client.get(path)
+            assert answer.headers["content-security-policy"].startswith("default-src 'self'")
+            assert answer.headers["x-content-type-options"] == "nosniff"
+            assert "cache-control" in answer.headers
+            assert "access-control-allow-origin" not in answer.headers
+            if answer.status_code >= HTTPStatus.BAD_REQUEST and path != "/readyz":
+                assert answer.headers["content-type"] == "application/problem+json", path
+                assert answer.json()["status"] == answer.status_code
+        for path in ("/docs", "/redoc", "/static/../service.py", "/static/%2e%2e/service.py"):
+            assert (await client.get(path)).status_code == HTTPStatus.NOT_FOUND
+        for method in ("PUT", "DELETE", "PATCH"):
+            answer = await client.request(method, "/api/v1/commands")
+            assert answer.status_code == HTTPStatus.METHOD_NOT_ALLOWED
+            assert answer.headers["content-type"] == "application/problem+json"
+        assert (await client.head("/api/v1/events")).status_code == HTTPStatus.METHOD_NOT_ALLOWED
+
+    run(story)
+
+
+def test_the_page_refers_to_nothing_outside_and_to_nothing_missing() -> None:
+    async def story(_side: Side, _gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        page = (await client.get("/")).text
+        assert not re.findall(r"(?:src|href)=\"(?:https?:)?//", page)
+        for path in re.findall(r"(?:src|href)=\"(/static/[^\"]+)\"", page):
+            assert (await client.get(path)).status_code == HTTPStatus.OK, path
+        assert "style=" not in page
+        assert "<script>" not in page
+
+    run(story)
+
+
+def test_every_error_of_the_mapper_that_can_reach_the_web_has_a_status() -> None:
+    offline = {"InputFileError", "UnknownBiobotError", "OutputFileError", "EngineMissingError", "TooFewEncountersError", "BusError"}
+    offline |= {"QueryError", "ListenError", "MapError"}
+    leaves = {name for name, value in vars(errors).items() if isinstance(value, type) and issubclass(value, errors.MapError)}
+    assert leaves - offline == {error.__name__ for error in STATUS_OF}
+
+
+def test_an_unforeseen_error_tells_nothing_of_the_inside() -> None:
+    async def story(side: Side, _gateway: FakeGateway, _client: httpx.AsyncClient) -> None:
+        app = create_unguarded_app(side.services, stream=EventStream(side.changes))
+
+        async def fail(_request: object) -> None:
+            raise RuntimeError("a secret of the inside")
+
+        app.router.routes.insert(0, Route("/fail", fail))
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app, raise_app_exceptions=False), base_url=BASE) as client:
+            answer = await client.get("/fail")
+        assert answer.status_code == HTTPStatus.INTERNAL_SERVER_ERROR
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert "secret" not in answer.text
+
+    run(story)
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=6,
+)
+command_like = st.fixed_dictionaries(
+    {},
+    optional={
+        "biobot": json_values | st.integers(0, 9),
+        "action": json_values | st.sampled_from(["start", "stop"]),
+        "operator": json_values | st.text(min_size=1, max_size=70),
+        "ttl_ms": json_values | st.integers(-1, 60_001),
+        "id": json_values | st.from_regex(r"\A[A-Za-z0-9._-]{1,8}\Z"),
+    },
+)
+
+
+@settings(max_examples=4)
+@given(requests=st.lists(command_like | json_values, min_size=40, max_size=40))
+def test_no_json_value_makes_the_command_endpoint_fail(requests: list[object]) -> None:
+    async def story() -> None:
+        async with mapper_side(1) as side, client_of(side) as client:
+            document = openapi_of(side)
+            for body in requests:
+                answer = await client.post("/api/v1/commands", content=json.dumps(body), headers={"Content-Type": "application/json"})
+                assert answer.status_code < HTTPStatus.INTERNAL_SERVER_ERROR
+                check_against(document, "/api/v1/commands", answer, method="post")
+
+    asyncio.run(story())

@@ -1,0 +1,193 @@
+"""Bus and intake against a real Zenoh publisher on loopback: everything arrives, nothing twice, whatever gets lost on the way."""
+
+import asyncio
+import time
+from collections.abc import Callable
+
+import msgspec
+import pytest
+
+from firmware_protocol.contract.keys import Stream
+from firmware_protocol.contract.records import JournalRecord, Mode, Stage, StimulationAction, encode_record
+from firmware_protocol.units import NodeId
+from mapper.bus import Bus
+from mapper.changes import Topic
+from mapper.commands import Command, Outcome
+from mapper.errors import BiobotNotFoundError, BusError, CommandNotFoundError, CommandRefusedError
+from mapper.store import Store
+from tests.mapper.fake_gateway import SITE, FakeGateway, batch, encounter, free_port, mode
+from tests.mapper.mapper_side import Side, mapper_side, until
+
+
+def level(head: int, *, journal: str = "journal1") -> Callable[[Store], bool]:
+    return lambda store: store.watermark(gateway="gateway1", journal=journal) >= head
+
+
+def test_every_published_record_is_stored_once_though_most_were_never_received() -> None:
+    async def story() -> None:
+        port = free_port()
+        with FakeGateway(port=port) as gateway:
+            everything: list[JournalRecord] = [encounter(n) for n in range(1, 3001)]
+            gateway.journal_records(everything[:2000])
+            async with mapper_side(port) as side:
+                await until(lambda: side.bus.is_connected)
+                # Live: some batches are lost, some come twice, some late.
+                for first in range(0, 2000, 50):
+                    if first % 150 == 0:
+                        gateway.publish(everything[first : first + 50])
+                        gateway.publish(everything[first : first + 50])
+                gateway.publish_status()
+                await side.until(level(2000))
+                assert await side.n_encounters() == 2000
+                gateway.journal_records(everything[2000:])
+                gateway.publish(everything[2500:])
+                await side.until(level(3000))
+                assert await side.n_encounters() == 3000
+                page = await side.records.call(Store.encounters, after=0, limit=5000)
+                assert sorted(record.sequence for record in page.records) == list(range(1, 3001))
+                assert side.intake.counters["new"] == 3000
+                assert side.intake.counters["repaired"] > 0
+
+    asyncio.run(story())
+
+
+def test_a_mapper_that_comes_late_and_a_gateway_that_comes_late_both_end_level() -> None:
+    async def story() -> None:
+        port = free_port()
+        async with mapper_side(port) as side:
+            with FakeGateway(port=port) as gateway:
+                gateway.journal_records([encounter(1), mode(2, node=9, t_ns=(0, None))])
+                await until(lambda: side.bus.is_connected)
+                gateway.publish_status()
+                await side.until(level(2))
+                await until(lambda: side.fleet.gateway_of(NodeId(9)) == "gateway1")
+                views = side.fleet.gateways(now_ns=time.monotonic_ns())
+                assert [(view.name, view.is_alive) for view in views] == [("gateway1", True)]
+            await until(lambda: not side.fleet.gateways(now_ns=time.monotonic_ns())[0].is_alive)
+            # The same gateway after its journal was lost: another journal, its offsets begin anew.
+            with FakeGateway(port=port, journal="journal2") as gateway:
+                gateway.journal_records([encounter(1, sequence=77, journal="journal2"), encounter(2, sequence=78, journal="journal2")])
+                await until(lambda: side.bus.is_connected)
+                gateway.publish_status()
+                await side.until(level(2, journal="journal2"))
+            assert await side.n_encounters() == 3
+
+    asyncio.run(story())
+
+
+def test_offsets_that_the_gateway_does_not_have_are_given_up_after_asking_again() -> None:
+    async def story() -> None:
+        port = free_port()
+        with FakeGateway(port=port) as gateway:
+            gateway.journal_records([encounter(n) for n in (1, 2, 6, 7)])
+            async with mapper_side(port) as side:
+                await until(lambda: side.bus.is_connected)
+                gateway.publish_status()
+                await side.until(level(7))
+                assert side.intake.counters["given_up"] == 3
+                assert sum(request.from_offset == 3 for request in gateway.history_requests) >= 3
+
+    asyncio.run(story())
+
+
+def test_rubbish_on_the_bus_is_counted_and_changes_nothing() -> None:
+    async def story() -> None:
+        port = free_port()
+        with FakeGateway(port=port) as gateway:
+            async with mapper_side(port) as side:
+                await until(lambda: side.bus.is_connected)
+                foreign = encode_record(batch([encounter(1, gateway="gateway2")], gateway="gateway2"))
+                rubbish = [b"", b"\xff" * 100, b"\x81\xa1a", msgspec.msgpack.encode({"gateway": "gateway1"}), foreign]
+                for payload in rubbish:
+                    for stream in (Stream.ENCOUNTERS, Stream.STATUS, Stream.EVENTS):
+                        gateway.publish_bytes(stream, payload)
+                gateway.journal_records([encounter(1)])
+                gateway.publish([encounter(1)])
+                await side.until(level(1))
+                assert await side.n_encounters() == 1
+                await until(lambda: side.bus.counters["unfit"] == 3 * len(rubbish))
+
+    asyncio.run(story())
+
+
+def test_states_reach_the_fleet_and_the_newest_wins() -> None:
+    async def story() -> None:
+        port = free_port()
+        with FakeGateway(port=port) as gateway:
+            async with mapper_side(port) as side:
+                await until(lambda: side.bus.is_connected)
+                seen = side.changes.versions
+                gateway.publish_status()
+                gateway.publish_node(2**64 - 1, mode=Mode.S, battery_mv=3600, heard_ns=20)
+                gateway.publish_node(2**64 - 1, mode=Mode.CRW, battery_mv=9999, heard_ns=10)
+                gateway.publish_node(4, heard_ns=1)
+                await until(lambda: side.fleet.gateway_of(NodeId(4)) is not None)
+                biobots = side.fleet.biobots(now_ns=time.monotonic_ns())
+                assert [(view.node, view.battery_mv, view.is_reachable) for view in biobots] == [(4, 3900, True), (2**64 - 1, 3600, True)]
+                assert side.changes.versions[Topic.BIOBOTS] > seen[Topic.BIOBOTS]
+
+    asyncio.run(story())
+
+
+async def stop(side: Side, node: int = 5, *, ttl_ms: int = 5000, command_id: str | None = None) -> Command:
+    return await side.desk.submit(
+        node=NodeId(node), action=StimulationAction.STOP, operator="anna", ttl_ms=ttl_ms, hold_ms=0, command_id=command_id
+    )
+
+
+def test_a_command_is_followed_through_its_stages_to_its_outcome() -> None:
+    async def story() -> None:
+        port = free_port()
+        with FakeGateway(port=port) as gateway:
+            async with mapper_side(port) as side:
+                with pytest.raises(BiobotNotFoundError):
+                    await stop(side)
+                await until(lambda: side.bus.is_connected)
+                gateway.publish_node(5)
+                await until(lambda: side.fleet.gateway_of(NodeId(5)) is not None)
+                command = await stop(side, command_id="once")
+                assert [stage.stage for stage in command.stages] == [Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED]
+                assert command.outcome is Outcome.BIOBOT_CONFIRMED
+                assert await stop(side, command_id="once") is command
+                assert len(gateway.commands) == 1
+                with pytest.raises(CommandRefusedError, match="another command"):
+                    await side.desk.submit(
+                        node=NodeId(5), action=StimulationAction.START, operator="anna", ttl_ms=1, hold_ms=0, command_id="once"
+                    )
+                gateway.answer = lambda _request: (Stage.REFUSED,)
+                refused = await stop(side)
+                assert (refused.outcome, refused.reason) == (Outcome.REFUSED, "too soon after the train before")
+                gateway.answer = lambda _request: (Stage.ACCEPTED,)
+                assert (await stop(side)).outcome is Outcome.UNKNOWN
+                assert [command.outcome for command in side.desk.recent(limit=2)] == [Outcome.UNKNOWN, Outcome.REFUSED]
+                assert side.desk.get("once") is command
+                with pytest.raises(CommandNotFoundError):
+                    side.desk.get("never sent")
+
+    asyncio.run(story())
+
+
+def test_a_command_to_a_gateway_that_is_away_is_undelivered() -> None:
+    async def story() -> None:
+        port = free_port()
+        async with mapper_side(port) as side:
+            with FakeGateway(port=port) as gateway:
+                await until(lambda: side.bus.is_connected)
+                gateway.publish_node(5)
+                await until(lambda: side.fleet.gateway_of(NodeId(5)) is not None)
+            await until(lambda: not side.bus.is_connected)
+            command = await stop(side)
+            assert (command.outcome, command.stages) == (Outcome.UNDELIVERED, [])
+
+    asyncio.run(story())
+
+
+def test_endpoints_that_cannot_be_are_refused_with_their_text() -> None:
+    async def story() -> None:
+        with pytest.raises(BusError, match="rubbish"):
+            await Bus.open(site=SITE, connect=("rubbish",), listen=())
+        port = free_port()
+        with FakeGateway(port=port), pytest.raises(BusError, match="already in use"):
+            await Bus.open(site=SITE, connect=(), listen=(f"tcp/127.0.0.1:{port}",))
+
+    asyncio.run(story())

@@ -1,0 +1,228 @@
+"""``biobot-mapper run`` as a person and a program see it."""
+
+import json
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from mapper.__main__ import main
+from tests.mapper.worlds import NS, walk_track
+
+HEADER = "t_start_s,t_end_s,id1,id2\n"
+KEYS = {
+    "betti_numbers",
+    "intervals",
+    "points",
+    "holes",
+    "diameter",
+    "n_encounters",
+    "n_used",
+    "components",
+    "lost_spectrum",
+    "parameters",
+}
+
+
+def _seconds(instant_ns: int) -> str:
+    return f"{instant_ns / NS:.3f}"
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the encounters of a ring of 20 landmarks, and their modes."""
+    folder = tmp_path_factory.mktemp("ring")
+    rows, spells = walk_track(n_landmarks=20, n_walkers=30, duration_s=120, seed=1, is_ring=True)
+    lines = [f"{_seconds(max(start, 0))},{_seconds(max(end, 0))},{first},{second}\n" for start, end, first, second in rows]
+    (folder / "encounters.csv").write_text(HEADER + "".join(lines))
+    stood = [f"-1,,{spell.node},S,command\n" for spell in spells]
+    (folder / "modes.csv").write_text("t_start_s,t_end_s,id,mode,cause\n" + "".join(stood))
+    return folder
+
+
+def _run(*arguments: object, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "mapper", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=os.environ | (environment or {}))
+
+
+def test_a_file_becomes_a_map_in_every_format(ring: Path, tmp_path: Path) -> None:
+    svg, png = tmp_path / "map.svg", tmp_path / "map.png"
+    done = _run("run", ring / "encounters.csv", "--modes", ring / "modes.csv", "--json", "-", "--svg", svg, "--png", png)
+    assert (done.returncode, done.stderr) == (0, "")
+    content = json.loads(done.stdout)
+    assert content.keys() >= KEYS
+    assert content["betti_numbers"] == [1, 1]
+    assert content["intervals"]["0"][0] == [0.0, None]
+    assert content["parameters"]["length_unit"] == "s"
+    (hole,) = content["holes"]
+    corner, point = hole["outline"][0], content["points"][hole["points"][0]]
+    assert corner == [point["x"], point["y"]]
+    assert ET.parse(svg).getroot().tag == "{http://www.w3.org/2000/svg}svg"
+    data = png.read_bytes()
+    assert data.startswith(b"\x89PNG\r\n\x1a\n")
+    assert data.endswith(b"IEND\xaeB`\x82")
+
+
+def test_without_json_a_summary_is_printed(ring: Path) -> None:
+    stationary = ",".join(str(1001 + k) for k in range(20))
+    done = _run("run", ring / "encounters.csv", "--stationary", stationary, "--method", "paper", "--speed-mps", "0.04")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("1 component, 1 hole\n")
+    assert " m\n" in done.stdout
+
+
+def test_the_same_input_gives_the_same_bytes(ring: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        flags = [f"--{kind}={tmp_path / name}.{kind}" for kind in ("json", "svg", "png")]
+        assert main(["run", str(ring / "encounters.csv"), "--modes", str(ring / "modes.csv"), *flags]) == 0
+    for kind in ("json", "svg", "png"):
+        assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (HEADER + "x,1,1,2\n", "line 2: t_start_s is 'x'"),
+        (HEADER + "2,1,1,2\n", "line 2: t_end_s 1 is before t_start_s 2"),
+        (HEADER + "1,2,5,5\n", "line 2: id1 and id2 are both 5"),
+        (HEADER + "nan,2,5,6\n", "line 2: t_start_s is 'nan'"),
+        (HEADER + "1,inf,5,6\n", "line 2: t_end_s is 'inf'"),
+        (HEADER + "1,2,5\n", "line 2: 3 fields, so id2 is missing"),
+        (os.urandom(999) + b"\xff", "is this a CSV file?"),
+        ("", "line 1: the file is empty"),
+        ("a,b,c\n", "line 1: the header 'a,b,c' lacks t_start_s"),
+        (HEADER, "0 encounters, but a map needs at least 2"),
+        (HEADER + "1,2,5,6\n", "1 encounter, but a map needs at least 2"),
+    ],
+)
+def test_bad_input_ends_with_file_line_and_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | bytes, reason: str
+) -> None:
+    path = tmp_path / "encounters.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert main(["run", str(path)]) == 1
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith(f"biobot-mapper: error: {path}: ")
+    assert reason in output.err
+
+
+def test_a_bad_row_shows_no_traceback_in_a_process_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "encounters.csv"
+    path.write_text(HEADER + 12 * "1,2,5,5\n")
+    done = _run("run", path)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert len(done.stderr.splitlines()) == 11
+    assert done.stderr.endswith("and 2 more\n")
+
+
+def test_without_the_persistence_engine_the_message_says_what_to_do(ring: Path) -> None:
+    code = "import sys; sys.modules['gudhi'] = None; from mapper.__main__ import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "run", str(ring / "encounters.csv")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("biobot-mapper: error: gudhi is not installed, but persistence needs it; pip install")
+
+
+def test_directories_and_missing_files_are_refused(ring: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    encounters = str(ring / "encounters.csv")
+    assert main(["run", str(tmp_path)]) == 1
+    assert "cannot be read: is a directory" in capsys.readouterr().err
+    assert main(["run", str(tmp_path / "none.csv")]) == 1
+    assert "cannot be read: no such file or directory" in capsys.readouterr().err
+    assert main(["run", encounters, "--modes", str(tmp_path / "none.csv")]) == 1
+    assert f"{tmp_path / 'none.csv'}: cannot be read" in capsys.readouterr().err
+    for flag in ("--json", "--svg", "--png"):
+        assert main(["run", encounters, flag, str(tmp_path)]) == 1
+        assert "cannot write: is a directory" in capsys.readouterr().err
+
+
+def test_stationary_biobots_that_met_nobody_are_named(ring: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(ring / "encounters.csv"), "--stationary", "1001,1002,1003,999"]) == 0
+    assert "warning: stationary biobots 999 are in no encounter" in capsys.readouterr().err
+    assert main(["run", str(ring / "encounters.csv"), "--stationary", "998,999"]) == 1
+    assert "no encounter has a biobot of --stationary 998, 999" in capsys.readouterr().err
+
+
+def test_several_components_are_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "encounters.csv"
+    path.write_text(
+        HEADER + "".join(f"{t},{t},{a},{b}\n" for t, a, b in [(0, 1, 2), (1, 2, 3), (2, 1, 3), (0, 7, 8), (3, 7, 9), (5, 8, 9)])
+    )
+    assert main(["run", str(path)]) == 0
+    output = capsys.readouterr()
+    assert output.out.startswith("2 components, 0 holes\n")
+    assert "warning: the encounters fall into 2 components" in output.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["fly"],
+        ["run"],
+        ["run", "x.csv", "--method", "magic"],
+        ["run", "x.csv", "--metric", "euclid"],
+        ["run", "x.csv", "--speed-mps", "fast"],
+        ["run", "x.csv", "--speed-mps", "0"],
+        ["run", "x.csv", "--speed-mps", "-1"],
+        ["run", "x.csv", "--speed-mps", "nan"],
+        ["run", "x.csv", "--speed-mps", "inf"],
+        ["run", "x.csv", "--stationary", "1,,2"],
+        ["run", "x.csv", "--stationary", "9223372036854775808"],
+        ["run", "x.csv", "--config", "nowhere.toml"],
+    ],
+)
+def test_bad_usage_ends_with_status_two(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        status: object = main(arguments)
+    except SystemExit as left:
+        status = left.code
+    assert status == 2
+    assert "error: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["--version"], ["run", "--version"]])
+def test_help_and_version_fit_one_screen(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(arguments)
+    assert left.value.code == 0
+    assert 0 < len(capsys.readouterr().out.splitlines()) <= 40
+
+
+def test_the_configuration_is_file_then_environment_then_flags(ring: Path, tmp_path: Path) -> None:
+    config = tmp_path / "mapper.toml"
+    config.write_text('[recipe]\nmethod = "paper"\nn_points = 40\noutlier_q = 0.8\nspeed_mps = 2\n')
+    variables = {"BIOBOT_MAPPER__RECIPE__N_POINTS": "50", "BIOBOT_MAPPER__RECIPE__OUTLIER_Q": "0.7"}
+    done = _run("run", ring / "encounters.csv", "--config", config, "--speed-mps", "3", "--json", "-", environment=variables)
+    assert done.returncode == 0
+    parameters = json.loads(done.stdout)["parameters"]
+    chosen = (parameters["method"], parameters["n_points"], parameters["outlier_q"], parameters["speed_mps"])
+    assert chosen == ("paper", 50, 0.7, 3.0)
+
+
+@pytest.mark.parametrize("place", [["--config", "{}", "--check-config"], ["run", "--config", "{}", "--check-config"]])
+def test_check_config_reports_every_fault_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str], place: list[str]) -> None:
+    config = tmp_path / "mapper.toml"
+    arguments = [part.format(config) for part in place]
+    config.write_text("[recipe]\nn_points = 100\n")
+    assert main(arguments) == 0
+    assert "is valid" in capsys.readouterr().out
+    config.write_text('[recipe]\nn_points = 1\nmethod = "magic"\ncolour = "red"\n')
+    assert main(arguments) == 2
+    errors = capsys.readouterr().err
+    assert all(word in errors for word in ("n_points", "magic", "colour"))
+
+
+def test_a_reader_that_leaves_is_no_traceback(ring: Path) -> None:
+    command = [sys.executable, "-m", "mapper", "run", str(ring / "encounters.csv"), "--json", "-"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        errors = process.stderr.read()
+    assert "Traceback" not in errors
+    assert process.returncode == 1

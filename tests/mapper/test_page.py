@@ -1,0 +1,220 @@
+"""The operator's page in a real browser: it works empty and full, on a desk and on a phone, and asks nobody but its own service."""
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from firmware_protocol.contract.records import Cause, EncounterRecord, Mode, Stage, StimulationAction, StimulationRequest
+from tests.mapper.fake_gateway import FakeGateway, free_port
+from tests.mapper.ring import ring_records
+from tests.mapper.serving import serving
+from tests.mapper.worlds import FIRST_LANDMARK
+
+CHROMIUM = shutil.which("chromium")
+ARTIFACTS = Path(__file__).parents[2] / "artifacts"
+WAIT_MS = 20_000
+FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    # A request to anywhere else fails, and is noted.
+    "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
+]
+
+pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the PATH; apt-get install chromium")]
+
+# How many pixels of the canvas are of the colour that the style sheet gives to holes, within a little.
+COUNT_HOLE_PIXELS = """() => {
+  const canvas = document.getElementById("map-canvas");
+  const copy = document.createElement("canvas");
+  [copy.width, copy.height] = [canvas.width, canvas.height];
+  const probe = copy.getContext("2d", { willReadFrequently: true });
+  probe.fillStyle = getComputedStyle(document.documentElement).getPropertyValue("--hole").trim();
+  probe.fillRect(0, 0, 1, 1);
+  const wanted = probe.getImageData(0, 0, 1, 1).data;
+  probe.clearRect(0, 0, 1, 1);
+  probe.drawImage(canvas, 0, 0);
+  const { data } = probe.getImageData(0, 0, canvas.width, canvas.height);
+  let n = 0;
+  for (let i = 0; i < data.length; i += 4) n += [0, 1, 2].every((c) => Math.abs(data[i + c] - wanted[c]) < 12) && data[i + 3] > 200;
+  return n;
+}"""
+
+
+@dataclass
+class Watched:
+    """A page, and what it must not do."""
+
+    page: Page
+    outside: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@contextmanager
+def opened(browser: Browser, url: str, *, width: int = 1280, height: int = 800, scheme: str = "light") -> Iterator[Watched]:
+    page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="dark" if scheme == "dark" else "light")
+    watched = Watched(page=page)
+    page.set_default_timeout(WAIT_MS)
+    page.on("request", lambda request: None if request.url.startswith((url, "data:", "blob:")) else watched.outside.append(request.url))
+    page.on("console", lambda message: watched.faults.append(message.text) if message.type in {"error", "warning"} else None)
+    page.on("pageerror", lambda error: watched.faults.append(str(error)))
+    page.goto(url)
+    yield watched
+    assert watched.outside == []
+    assert watched.faults == []
+    page.close()
+
+
+def until(is_met: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + WAIT_MS / 1000
+    while not is_met():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def picture(page: Page, name: str) -> None:
+    ARTIFACTS.mkdir(exist_ok=True)
+    page.screenshot(path=ARTIFACTS / f"{name}.png", full_page=True)
+
+
+def fits_its_width(page: Page) -> bool:
+    return bool(page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth"))
+
+
+def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path: Path) -> None:
+    port = free_port()
+    records = ring_records()
+    n_encounters = sum(isinstance(record, EncounterRecord) for record in records)
+    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, _process), opened(browser, url) as watched:
+        page = watched.page
+        expect(page.get_by_text("Waiting for encounters")).to_be_visible()
+        expect(page.get_by_text("No gateway has reported a biobot yet.")).to_be_visible()
+        picture(page, "page-empty")
+
+        # The first statuses may be sent before the mapper is connected; a gateway repeats them.
+        def live() -> bool:
+            gateway.publish_status()
+            return "live" in (page.locator("#link").text_content() or "")
+
+        until(live)
+        gateway.journal_records(records)
+        gateway.publish_status()
+        for walker in range(1, 6):
+            gateway.publish_node(walker, heard_ns=time.time_ns(), battery_mv=3300 + 100 * walker)
+        expect(page.locator("#encounters")).to_have_text(str(n_encounters), timeout=WAIT_MS)
+        expect(page.locator("#components")).to_have_text("1")
+        expect(page.locator("#holes")).to_have_text("1")
+        expect(page.get_by_text("Waiting for encounters")).to_be_hidden()
+        assert page.evaluate(COUNT_HOLE_PIXELS) > 300
+        page.get_by_role("checkbox", name="holes").uncheck()
+        page.wait_for_function(f"({COUNT_HOLE_PIXELS})() < 50")
+        page.get_by_role("checkbox", name="holes").check()
+        assert "holes 1" in (page.locator("#map-canvas").get_attribute("aria-label") or "")
+        expect(page.locator("#diagram circle[data-hole]")).to_have_count(1)
+        page.get_by_role("button", name="Barcode").click()
+        expect(page.locator("#diagram rect[data-hole]")).to_have_count(1)
+        page.get_by_role("button", name="Diagram", exact=True).click()
+        expect(page.get_by_role("row")).to_have_count(1 + 12 + 5)
+        expect(page.get_by_role("row").filter(has_text=str(FIRST_LANDMARK)).first).to_contain_text("landmark")
+        expect(page.get_by_role("row").filter(has=page.get_by_role("button", name="Stop biobot 1", exact=True))).to_contain_text("3.40 V")
+
+        page.get_by_label("You").fill("anna")
+        page.get_by_role("button", name="Stop biobot 3", exact=True).click()
+        expect(page.locator("#outcome")).to_contain_text("Stop biobot 3: confirmed by the biobot")
+        assert [(command.node, command.action, command.operator) for command in gateway.commands] == [(3, StimulationAction.STOP, "anna")]
+        gateway.publish_node(3, mode=Mode.S, cause=Cause.COMMAND, heard_ns=time.time_ns())
+        expect(page.get_by_role("row").filter(has=page.get_by_role("button", name="Stop biobot 3", exact=True))).to_contain_text("landmark")
+        page.get_by_label("Find").fill("walk")
+        expect(page.locator("#rows tr:visible")).to_have_count(4)
+        page.get_by_label("Find").fill("")
+        assert fits_its_width(page)
+        page.wait_for_timeout(300)
+        picture(page, "page-light")
+        with opened(browser, url, scheme="dark") as dark:
+            expect(dark.page.locator("#holes")).to_have_text("1")
+            dark.page.wait_for_timeout(300)
+            assert dark.page.evaluate(COUNT_HOLE_PIXELS) > 300
+            picture(dark.page, "page-dark")
+        with opened(browser, url, width=390, height=844) as phone:
+            expect(phone.page.locator("#holes")).to_have_text("1")
+            phone.page.wait_for_timeout(300)
+            assert phone.page.evaluate(COUNT_HOLE_PIXELS) > 100
+            assert fits_its_width(phone.page)
+            picture(phone.page, "page-phone")
+
+
+def test_the_page_can_be_used_with_the_keyboard_alone(browser: Browser, tmp_path: Path) -> None:
+    port = free_port()
+    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, _process), opened(browser, url) as watched:
+        page = watched.page
+
+        def known() -> bool:
+            gateway.publish_status()
+            gateway.publish_node(8, heard_ns=time.time_ns())
+            return page.get_by_role("button", name="Stop biobot 8").count() > 0
+
+        until(known)
+        for _ in range(40):
+            page.keyboard.press("Tab")
+            if page.evaluate("document.activeElement.getAttribute('aria-label')") == "Stop biobot 8":
+                break
+        page.keyboard.press("Enter")
+        expect(page.locator("#outcome")).to_contain_text("confirmed by the biobot")
+        assert len(gateway.commands) == 1
+
+
+def test_a_start_pressed_twice_is_given_once_and_a_stop_meanwhile_goes_out(browser: Browser, tmp_path: Path) -> None:
+    port = free_port()
+    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, _process), opened(browser, url) as watched:
+        page = watched.page
+
+        def slowly(request: StimulationRequest) -> Iterator[Stage]:
+            yield Stage.ACCEPTED
+            deadline = time.monotonic() + WAIT_MS / 1000
+            while request.action is StimulationAction.START and len(gateway.commands) < 2 and time.monotonic() < deadline:
+                time.sleep(0.02)
+            yield Stage.BIOBOT_CONFIRMED
+
+        gateway.answer = slowly
+
+        def known() -> bool:
+            gateway.publish_status()
+            gateway.publish_node(8, heard_ns=time.time_ns())
+            return page.get_by_role("button", name="Start biobot 8").count() > 0
+
+        until(known)
+        start = page.get_by_role("button", name="Start biobot 8")
+        start.click()
+        expect(start).to_be_disabled()
+        page.get_by_role("button", name="Stop biobot 8").click()
+        expect(start).to_be_enabled()
+        assert [command.action for command in gateway.commands] == [StimulationAction.START, StimulationAction.STOP]
+
+
+def test_the_page_says_when_the_mapper_is_gone(browser: Browser, tmp_path: Path) -> None:
+    port = free_port()
+    page = browser.new_page()
+    page.set_default_timeout(WAIT_MS)
+    with serving(tmp_path, connect=port) as (url, _process):
+        page.goto(url)
+        expect(page.locator("#link")).to_contain_text("no gateway yet")
+    expect(page.locator("#link")).to_contain_text("mapper does not answer", timeout=WAIT_MS)
+    page.close()

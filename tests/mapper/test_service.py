@@ -1,0 +1,151 @@
+"""`biobot-mapper serve` as a process: it starts, stops, is killed and started again, and says clearly what it cannot do."""
+
+import json
+import logging
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from firmware_protocol.contract.records import EncounterRecord
+from mapper.__main__ import main
+from tests.mapper.fake_gateway import FakeGateway, encounter, free_port
+from tests.mapper.ring import ring_records
+from tests.mapper.serving import STOP_S, serving
+
+DEADLINE_S = 30.0
+
+
+def until(is_met: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not is_met():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def get(url: str) -> Any:
+    return httpx.get(url).json()
+
+
+@pytest.fixture
+def own_logging() -> Iterator[None]:
+    """Put back what ``serve`` sets up for a whole process."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:] = handlers
+    root.setLevel(level)
+
+
+def is_running(pid: int) -> bool:
+    """Say whether a process runs; one that has ended may still be listed, if nobody asked how it ended."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state not in "ZX"
+
+
+def test_killed_and_started_again_it_has_every_record_once_and_makes_the_map_anew(tmp_path: Path) -> None:
+    port = free_port()
+    store = ["--store", str(tmp_path / "records.db")]
+    records = ring_records()
+    half = len(records) // 2
+    wanted = sum(isinstance(record, EncounterRecord) for record in records)
+    with FakeGateway(port=port) as gateway:
+        gateway.journal_records(records[:half])
+        with serving(tmp_path, connect=port, arguments=store) as (url, process):
+            until(lambda: get(url + "readyz")["is_connected"])
+            gateway.publish_status()
+            until(lambda: get(url + "healthz")["n_encounters"] > 0)
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        gateway.journal_records(records[half:])
+        with serving(tmp_path, connect=port, arguments=store) as (url, _process):
+            until(lambda: get(url + "readyz")["is_connected"])
+            gateway.publish_status()
+            until(lambda: get(url + "healthz")["n_encounters"] == wanted)
+            until(lambda: httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
+            until(lambda: get(url + "api/v1/map")["n_encounters"] == wanted)
+            assert get(url + "api/v1/map")["betti_numbers"] == [1, 1]
+            # The first life's records were read from the file, not asked for again.
+            assert get(url + "healthz")["counters"]["new"] < len(records)
+
+
+def test_event_streams_tell_of_changes_and_do_not_hold_up_the_stop(tmp_path: Path) -> None:
+    port = free_port()
+    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, process):
+        until(lambda: get(url + "readyz")["is_connected"])
+        with httpx.stream("GET", url + "api/v1/events", timeout=DEADLINE_S) as stream:
+            lines = stream.iter_lines()
+            first = next(json.loads(line[6:]) for line in lines if line.startswith("data: "))
+            assert set(first) == {"records", "map", "biobots", "commands", "mission"}
+            gateway.journal_records([encounter(1), encounter(2)])
+            gateway.publish([encounter(1), encounter(2)])
+            seen = next(
+                change for line in lines if line.startswith("data: ") and (change := json.loads(line[6:]))["records"] > first["records"]
+            )
+            assert seen["biobots"] >= first["biobots"]
+            begun = time.monotonic()
+            process.send_signal(signal.SIGTERM)
+            assert list(lines) is not None
+            assert process.wait(STOP_S) == 0
+            assert time.monotonic() - begun < 4
+
+
+def test_no_process_is_left_behind(tmp_path: Path) -> None:
+    port = free_port()
+    with FakeGateway(port=port) as gateway:
+        gateway.journal_records(ring_records())
+        with serving(tmp_path, connect=port) as (url, process):
+            until(lambda: get(url + "readyz")["is_connected"])
+            gateway.publish_status()
+            until(lambda: httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
+            threads = Path(f"/proc/{process.pid}/task").iterdir()
+            children = [int(pid) for thread in threads for pid in (thread / "children").read_text().split()]
+            assert children
+    until(lambda: not any(is_running(pid) for pid in children))
+
+
+@pytest.mark.usefixtures("own_logging")
+def test_an_address_in_use_is_said_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        assert main(["serve", "--port", str(port)]) == 1
+    said = capsys.readouterr().err
+    assert said.splitlines() == [
+        f"biobot-mapper: error: cannot listen on 127.0.0.1:{port}: address already in use; choose another --port, or 0 for a free one"
+    ]
+
+
+@pytest.mark.usefixtures("own_logging")
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["--host", "0.0.0.0", "--port", "0"], 1, "--allow-remote"),
+        (["--host", "203.0.113.9", "--port", "0"], 1, "--allow-remote"),
+        (["--host", "no such host", "--port", "0"], 1, "choose another --host"),
+        (["--host", "203.0.113.9", "--port", "0", "--allow-remote"], 1, "cannot listen on 203.0.113.9:0"),
+        (["--port", "70000"], 2, "serve.port is 70000"),
+        (["--port", "0", "--min-interval-s", "0"], 2, "serve.min_interval_s is 0.0"),
+        (["--port", "0", "--site", "a/b"], 2, "a site name has"),
+        (["--port", "0", "--connect", "nonsense"], 1, "give endpoints such as tcp/127.0.0.1:7447"),
+        (["--port", "0", "--store", "/"], 1, "is a directory"),
+        (["--port", "0", "--store", "/proc/none/records.db"], 1, "there is no directory"),
+        (["--port", "0", "--url-file", "/proc/none/url"], 1, "cannot write"),
+    ],
+)
+def test_what_cannot_be_is_said_without_a_traceback(
+    arguments: list[str], status: int, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["serve", *arguments]) == status
+    said = capsys.readouterr().err
+    assert message in said
+    assert "Traceback" not in said
