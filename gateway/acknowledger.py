@@ -1,0 +1,74 @@
+"""Tells backpacks which of their messages are on disk, a few at a time and never in the way of commands."""
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from firmware_protocol.messages import Acknowledge
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId
+from gateway.downlink import DownlinkSender
+from gateway.errors import RadioUnavailableError
+from gateway.health import Health
+
+_GATHER_NS = 20 * NS_PER_MS
+"""An acknowledgement waits this long for others of its biobot: a backpack sends its messages in bursts."""
+
+_MIN_PAUSE_NS = 100 * NS_PER_MS
+"""Pause between two acknowledgements to one biobot; a backpack repeats after 1 s at the earliest (WIRE_FORMAT.md §5.1)."""
+
+_MAX_PENDING = 8
+"""Acknowledgements wait while this many payloads are under way at the radio; meanwhile they gather."""
+
+_POLL_S = 0.01
+
+
+class Acknowledger:
+    """Sends an Acknowledge to each biobot that has something new on disk; ``run`` is its task.
+
+    Parameters
+    ----------
+    window_of
+        Gives the newest boot of a biobot and, of that boot, ``next_sequence`` and ``bitmap`` of what is on disk.
+    """
+
+    def __init__(self, *, sender: DownlinkSender, window_of: Callable[[NodeId], tuple[BootId, int, int] | None], health: Health) -> None:
+        self._sender = sender
+        self._window_of = window_of
+        self._health = health
+        self._due_ns: dict[NodeId, int] = {}
+        self._sent_ns: dict[NodeId, int] = {}
+        self._wake = asyncio.Event()
+
+    def mark(self, node: NodeId) -> None:
+        """Have a biobot told soon; at most one mark of each biobot waits."""
+        if node not in self._due_ns:
+            self._due_ns[node] = max(time.monotonic_ns() + _GATHER_NS, self._sent_ns.get(node, 0) + _MIN_PAUSE_NS)
+            self._wake.set()
+
+    async def run(self) -> None:
+        """Send what is due, until cancelled."""
+        while True:
+            if not self._due_ns:
+                self._wake.clear()
+                await self._wake.wait()
+            now_ns = time.monotonic_ns()
+            due = [node for node, at_ns in self._due_ns.items() if at_ns <= now_ns]
+            for node in due:
+                if self._sender.n_pending(node) < _MAX_PENDING:
+                    del self._due_ns[node]
+                    self._tell(node)
+            earliest_ns = min(self._due_ns.values(), default=now_ns)
+            await asyncio.sleep(max(_POLL_S, (earliest_ns - now_ns) / NS_PER_S))
+
+    def _tell(self, node: NodeId) -> None:
+        window = self._window_of(node)
+        if window is None:
+            return
+        boot, next_sequence, bitmap = window
+        try:
+            self._sender.send(node, Acknowledge(boot=boot, next_sequence=next_sequence, bitmap=bitmap))
+        except RadioUnavailableError:
+            self._health.count("acknowledge.not_sent")  # the backpack repeats, and is told then
+            return
+        self._sent_ns[node] = time.monotonic_ns()
+        self._health.count("acknowledge.sent")

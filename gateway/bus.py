@@ -1,0 +1,359 @@
+"""Everything the gateway says and hears on Zenoh; the only file here that imports it (CONTRACT.md).
+
+Zenoh calls back on threads of its own: callbacks only append to a bounded queue and wake the loop once. Puts come from one
+thread, so a subscriber that is stuck blocks that thread alone; what overflows its queue is dropped and counted, since the journal
+has it and readers fill gaps from the history. Answers to commands and history queries have threads of their own.
+"""
+
+import asyncio
+import json
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Self
+
+import zenoh
+import zenoh.ext
+
+from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
+from firmware_protocol.contract.records import (
+    CommandStage,
+    EncounterRecord,
+    GatewayEvent,
+    GatewayStatus,
+    HistoryRequest,
+    JournalRecord,
+    ModeRecord,
+    NeighbourReport,
+    NodeStatus,
+    RecordBatch,
+    StimulationRequest,
+    Struct,
+    decode_record,
+    encode_record,
+)
+from firmware_protocol.errors import KeyExpressionError, RecordError
+from gateway.config import GatewayConfig
+from gateway.errors import BusError, CommandError
+from gateway.health import Health
+from gateway.journal_file import JournalReader
+from gateway.log import EventLog
+
+_log = EventLog(__name__)
+
+_PUT_QUEUE = 4096
+"""Publications that may wait for the put thread."""
+
+_CACHE = 2048
+"""Batches that late subscribers and those with a gap get without asking the history."""
+
+_HEARTBEAT_S = 0.5
+_MAX_COMMANDS = 256
+_MAX_HISTORY_QUERIES = 16
+_HISTORY_PAGE = 500
+_DISCOVERY_S = 3.0
+
+_SETTINGS = {
+    "mode": '"peer"',
+    "scouting/multicast/enabled": "false",
+    # Implicit shared memory has lost messages to descheduled receivers (zenoh issue 2628) and gains nothing at these sizes.
+    "transport/shared_memory/enabled": "false",
+    "timestamping/enabled": "true",
+    "transport/link/tx/lease": "2000",
+    "transport/unicast/open_timeout": "2000",
+    "connect/retry": "{period_init_ms: 200, period_max_ms: 4000, period_increase_factor: 2}",
+    "connect/timeout_ms": "-1",
+    "connect/exit_on_failure": "false",
+    "listen/timeout_ms": "0",
+    "listen/exit_on_failure": "true",
+}
+
+
+class CommandAnswer:
+    """Where the stages of one command go; may be called from the loop only."""
+
+    def __init__(self, *, query: zenoh.Query, key: str, executor: ThreadPoolExecutor) -> None:
+        self._query = query
+        self._key = key
+        self._executor = executor
+
+    def tell(self, stage: CommandStage) -> None:
+        """Reply with a stage; the final one ends the query."""
+        self._executor.submit(self._reply, stage)
+
+    def _reply(self, stage: CommandStage) -> None:
+        try:
+            self._query.reply(self._key, encode_record(stage))
+            if stage.is_final:
+                self._query.drop()  # type: ignore[no-untyped-call]  # zenoh's stub has no annotation
+        except zenoh.ZError as error:
+            _log.warning("bus.reply_lost", command=stage.command_id, stage=stage.stage.value, reason=str(error))
+
+
+class Bus:
+    """An open Zenoh session of a gateway."""
+
+    def __init__(self, *, session: zenoh.Session, site: str, gateway: str, health: Health) -> None:
+        self._session = session
+        self._site = site
+        self._gateway = gateway
+        self._health = health
+        self._puts: queue.Queue[Callable[[], None] | None] = queue.Queue(maxsize=_PUT_QUEUE)
+        self._answers = ThreadPoolExecutor(max_workers=1, thread_name_prefix="answers")
+        self._history = ThreadPoolExecutor(max_workers=1, thread_name_prefix="history")
+        self._n_history = threading.BoundedSemaphore(_MAX_HISTORY_QUERIES)
+        self._lock = threading.Lock()
+        self._commands: deque[tuple[StimulationRequest, CommandAnswer]] = deque()
+        self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
+        self._publishers = {
+            stream: zenoh.ext.declare_advanced_publisher(
+                session,
+                self._key(stream),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                cache=zenoh.ext.CacheConfig(_CACHE),
+                sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=_HEARTBEAT_S, sporadic_heartbeat=None),
+                publisher_detection=True,
+            )
+            for stream in (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
+        }
+        self._thread = threading.Thread(target=self._run_puts, name="puts", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def open(cls, config: GatewayConfig, *, health: Health) -> Self:
+        """Open the session; other sessions are connected to in the background, for as long as it takes.
+
+        Raises
+        ------
+        BusError
+            An endpoint cannot be listened on, or is none.
+        """
+        session = _open_session(listen=config.listen, connect=config.connect)
+        return cls(session=session, site=config.site, gateway=config.name, health=health)
+
+    def start(
+        self,
+        *,
+        on_command: Callable[[StimulationRequest, CommandAnswer], None],
+        open_reader: Callable[[], JournalReader],
+        journal: str,
+    ) -> None:
+        """Answer queries from now on, and be alive to others. ``on_command`` is called in the running loop."""
+        loop = asyncio.get_running_loop()
+        command_key, history_key = self._key(Stream.COMMAND), self._key(Stream.HISTORY)
+
+        def take_command(query: zenoh.Query) -> None:
+            self._take_command(query, key=command_key, loop=loop, on_command=on_command)
+
+        def take_history(query: zenoh.Query) -> None:
+            self._take_history(query, key=history_key, open_reader=open_reader, journal=journal)
+
+        self._declared.append(self._session.declare_queryable(command_key, take_command))
+        self._declared.append(self._session.declare_queryable(history_key, take_history))
+        self._declared.append(self._session.liveliness().declare_token(self._key(Stream.ALIVE)))
+
+    def publish_records(self, records: Sequence[JournalRecord], head_offset: int) -> None:
+        """Publish records that are on disk, one batch for each kind."""
+        by_stream: dict[Stream, list[JournalRecord]] = {}
+        for record in records:
+            by_stream.setdefault(_stream_of(record), []).append(record)
+        for stream, members in by_stream.items():
+            publisher = self._publishers[stream]
+            batch = RecordBatch(gateway=self._gateway, journal=members[0].journal, head_offset=head_offset, records=tuple(members))
+            self._queue_put(lambda publisher=publisher, batch=batch: publisher.put(encode_record(batch)))  # type: ignore[misc]
+
+    def publish_gateway_status(self, status: GatewayStatus) -> None:
+        """Publish the gateway's own state."""
+        self._publish_state(self._key(Stream.STATUS), status)
+
+    def publish_node_status(self, status: NodeStatus) -> None:
+        """Publish a biobot's state."""
+        self._publish_state(build_key(site=self._site, stream=Stream.STATUS, gateway=self._gateway, node=status.node), status)
+
+    def publish_neighbours(self, report: NeighbourReport) -> None:
+        """Publish whom a biobot hears."""
+        self._publish_state(build_key(site=self._site, stream=Stream.NEIGHBOURS, gateway=self._gateway, node=report.node), report)
+
+    def publish_event(self, event: GatewayEvent) -> None:
+        """Publish something an operator may want to know."""
+        self._publish_state(self._key(Stream.EVENTS), event)
+
+    def close(self) -> None:
+        """Send what waits, unless it takes long; then close."""
+        for declared in reversed(self._declared):
+            declared.undeclare()  # type: ignore[no-untyped-call]  # same
+        try:
+            self._puts.put(None, timeout=1.0)
+            self._thread.join(timeout=2.0)
+        except queue.Full:
+            _log.warning("bus.unsent", waiting=self._puts.qsize())
+        self._answers.shutdown(wait=True)
+        self._history.shutdown(wait=True, cancel_futures=True)
+        self._session.close()  # type: ignore[no-untyped-call]  # same
+
+    def _key(self, stream: Stream) -> str:
+        return build_key(site=self._site, stream=stream, gateway=self._gateway)
+
+    def _publish_state(self, key: str, state: Struct) -> None:
+        self._queue_put(lambda: self._session.put(key, encode_record(state)))
+
+    def _queue_put(self, put: Callable[[], None]) -> None:
+        try:
+            self._puts.put_nowait(put)
+        except queue.Full:
+            self._health.count("bus.dropped_puts")
+
+    def _run_puts(self) -> None:
+        while (put := self._puts.get()) is not None:
+            try:
+                put()
+            except zenoh.ZError as error:
+                self._health.count("bus.failed_puts")
+                _log.debug("bus.failed_put", reason=str(error))
+
+    def _take_command(
+        self,
+        query: zenoh.Query,
+        *,
+        key: str,
+        loop: asyncio.AbstractEventLoop,
+        on_command: Callable[[StimulationRequest, CommandAnswer], None],
+    ) -> None:
+        """Runs on a thread of Zenoh."""
+        try:
+            request = decode_record(_payload_of(query), StimulationRequest)
+        except RecordError as error:
+            self._refuse(query, str(error))
+            return
+        with self._lock:
+            if len(self._commands) >= _MAX_COMMANDS:
+                self._refuse(query, f"{_MAX_COMMANDS} commands wait already; try again")
+                return
+            is_first = not self._commands
+            self._commands.append((request, CommandAnswer(query=query, key=key, executor=self._answers)))
+        if is_first:
+            loop.call_soon_threadsafe(self._hand_over_commands, on_command)
+
+    def _hand_over_commands(self, on_command: Callable[[StimulationRequest, CommandAnswer], None]) -> None:
+        with self._lock:
+            commands = list(self._commands)
+            self._commands.clear()
+        for request, answer in commands:
+            on_command(request, answer)
+
+    def _take_history(self, query: zenoh.Query, *, key: str, open_reader: Callable[[], JournalReader], journal: str) -> None:
+        """Runs on a thread of Zenoh."""
+        try:
+            request = decode_record(_payload_of(query), HistoryRequest)
+        except RecordError as error:
+            self._refuse(query, str(error))
+            return
+        if not self._n_history.acquire(blocking=False):
+            self._refuse(query, f"{_MAX_HISTORY_QUERIES} history queries wait already; try again")
+            return
+        self._history.submit(self._answer_history, query, request, key=key, open_reader=open_reader, journal=journal)
+
+    def _answer_history(
+        self, query: zenoh.Query, request: HistoryRequest, *, key: str, open_reader: Callable[[], JournalReader], journal: str
+    ) -> None:
+        try:
+            with query:
+                for batch in self._history_batches(request, open_reader=open_reader, journal=journal):
+                    query.reply(key, encode_record(batch))
+        except zenoh.ZError as error:
+            _log.debug("bus.history_lost", reason=str(error))
+        finally:
+            self._n_history.release()
+
+    def _history_batches(self, request: HistoryRequest, *, open_reader: Callable[[], JournalReader], journal: str) -> Iterator[RecordBatch]:
+        """Yield at least one batch: an empty one tells how far the journal goes."""
+        reader = open_reader()
+        try:
+            at, rest = request.from_offset, request.limit
+            while rest > 0:
+                records, head_offset = reader.read_records(from_offset=at, limit=min(rest, _HISTORY_PAGE))
+                yield RecordBatch(gateway=self._gateway, journal=journal, head_offset=head_offset, records=tuple(records))
+                at, rest = at + len(records), rest - len(records)
+                if not records or at > head_offset:
+                    return
+        finally:
+            reader.close()
+
+    def _refuse(self, query: zenoh.Query, reason: str) -> None:
+        self._health.count("bus.refused_queries")
+        with query:
+            query.reply_err(reason.encode())
+
+
+def send_command(
+    request: StimulationRequest, *, site: str, gateway: str | None, connect: Sequence[str], timeout_s: float
+) -> Iterator[CommandStage]:
+    """Send a command to a gateway and yield its stages as they come; for the command line.
+
+    Parameters
+    ----------
+    gateway
+        Its name, or None where there is only one.
+
+    Raises
+    ------
+    CommandError
+        No gateway, or more than one, answers there, or it cannot read the request.
+    BusError
+        ``connect`` is no endpoint.
+    """
+    with _open_session(listen=(), connect=connect) as session:
+        name = _find_gateway(session, site=site, gateway=gateway, connect=connect)
+        key = build_key(site=site, stream=Stream.COMMAND, gateway=name)
+        for reply in session.get(key, payload=encode_record(request), timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE):
+            if reply.ok is not None:
+                yield decode_record(reply.ok.payload.to_bytes(), CommandStage)
+            elif reply.err is not None:
+                raise CommandError(f"gateway {name} answers: {reply.err.payload.to_string()}")
+
+
+def _find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, connect: Sequence[str]) -> str:
+    pattern = build_key(site=site, stream=Stream.ALIVE, gateway=gateway or ANY)
+    found: queue.Queue[str] = queue.Queue()
+    # A subscriber with history hears of the gateway as soon as the connection stands; a get would return empty before.
+    subscriber = session.liveliness().declare_subscriber(pattern, lambda sample: found.put(str(sample.key_expr)), history=True)
+    try:
+        names = {parse_key(found.get(timeout=_DISCOVERY_S)).gateway}
+        while not found.empty():
+            names.add(parse_key(found.get_nowait()).gateway)
+    except (queue.Empty, KeyExpressionError) as error:
+        who = f"gateway {gateway!r}" if gateway else "no gateway"
+        verb = "is not" if gateway else "is"
+        raise CommandError(
+            f"{who} {verb} alive at site {site!r} on {', '.join(connect)}; is it running, and are site and endpoint right?"
+        ) from error
+    finally:
+        subscriber.undeclare()  # type: ignore[no-untyped-call]  # same
+    if len(names) > 1:
+        raise CommandError(f"there are several gateways ({', '.join(sorted(names))}); name one with --gateway")
+    return names.pop()
+
+
+def _open_session(*, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Session:
+    try:
+        config = zenoh.Config()
+        for key, value in _SETTINGS.items():
+            config.insert_json5(key, value)
+        config.insert_json5("listen/endpoints", json.dumps(list(listen)))
+        config.insert_json5("connect/endpoints", json.dumps(list(connect)))
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        reason = str(error).split(" at /")[0]  # Zenoh appends its own source locations
+        raise BusError(f"Zenoh cannot listen on {list(listen)} and connect to {list(connect)}: {reason}") from error
+
+
+def _payload_of(query: zenoh.Query) -> bytes:
+    return b"" if query.payload is None else query.payload.to_bytes()
+
+
+def _stream_of(record: JournalRecord) -> Stream:
+    if isinstance(record, EncounterRecord):
+        return Stream.ENCOUNTERS
+    return Stream.MODES if isinstance(record, ModeRecord) else Stream.MISSION

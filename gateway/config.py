@@ -1,0 +1,204 @@
+"""The gateway's configuration, built once at start and handed down (defaults, TOML, environment, flags)."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+
+from firmware_protocol.configuration import load_configuration
+from firmware_protocol.contract.keys import check_name
+from firmware_protocol.errors import ConfigurationError, KeyExpressionError
+
+ENVIRONMENT_PREFIX = "BIOBOT_GATEWAY"
+
+_Seconds = Annotated[float, msgspec.Meta(gt=0, le=86_400)]
+_Count = Annotated[int, msgspec.Meta(ge=1)]
+
+
+class LinkTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a radio's line is kept up.
+
+    Keys
+    ----
+    first_backoff_s, max_backoff_s
+        Pause before a lost port is opened again: the first one, and the longest it grows to by doubling.
+    open_timeout_s
+        A port that is open but does not answer for so long is closed and opened again.
+    radio_timeout_s
+        A payload whose RadioConfirm does not come for so long has an unknown outcome. ZigBee retries for up to 4.8 s.
+    """
+
+    first_backoff_s: _Seconds = 0.2
+    max_backoff_s: _Seconds = 10.0
+    open_timeout_s: _Seconds = 5.0
+    radio_timeout_s: _Seconds = 6.0
+
+
+class EncounterTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How the two sides' reports become one encounter.
+
+    Keys
+    ----
+    window_s
+        Records this recent are kept in memory to be corrected by a late report; of older ones the journal knows.
+    """
+
+    window_s: _Seconds = 900.0
+
+
+class ClockTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How the backpacks' clocks are fitted.
+
+    Keys
+    ----
+    sync_period_s
+        Pause between two time sync requests to one biobot.
+    window_s
+        Traffic this recent counts.
+    """
+
+    sync_period_s: _Seconds = 20.0
+    window_s: _Seconds = 300.0
+
+
+class StimulationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What may be done to an animal, and how long an answer is waited for.
+
+    Keys
+    ----
+    min_gap_s, window_s, max_trains, max_on_s
+        Limits for each biobot: pause between two trains; and in any window, how many trains and how much stimulation.
+        They may be made stricter than the defaults, never looser.
+    frequency_hz, amplitude_mv, pulse_width_us, duration_ms
+        The pulse train. 50 Hz, 2 V bipolar and 0.5 s: Erickson et al., PLoS ONE 2015, e0134348, best of those tried on
+        hissing cockroaches. Pulse width: the middle of the 1-9 ms of the RoboRoach firmware; Erickson gives none.
+    reply_timeout_s
+        A biobot that does not answer for so long has an unknown outcome.
+    stop_attempts, stop_retry_s
+        How often a stop is sent until the biobot confirms it, and the pause between.
+    max_clock_ahead_s
+        A command issued later than this from now comes from a wrong clock and is refused.
+    """
+
+    min_gap_s: Annotated[float, msgspec.Meta(ge=2.0, le=3600)] = 2.0
+    window_s: Annotated[float, msgspec.Meta(ge=60.0, le=3600)] = 60.0
+    max_trains: Annotated[int, msgspec.Meta(ge=1, le=30)] = 30
+    max_on_s: Annotated[float, msgspec.Meta(gt=0, le=9.0)] = 9.0
+    frequency_hz: Annotated[int, msgspec.Meta(ge=1, le=150)] = 50
+    amplitude_mv: Annotated[int, msgspec.Meta(ge=0, le=4000)] = 2000
+    pulse_width_us: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 5000
+    duration_ms: Annotated[int, msgspec.Meta(ge=0, le=500)] = 500
+    reply_timeout_s: _Seconds = 5.0
+    stop_attempts: Annotated[int, msgspec.Meta(ge=1, le=20)] = 5
+    stop_retry_s: _Seconds = 1.0
+    max_clock_ahead_s: _Seconds = 2.0
+
+
+class MissionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The exploration protocol of [Dir16] IV.
+
+    Keys
+    ----
+    is_enabled
+        Run the mission.
+    dispersion_s
+        How long all walk before landmarks are chosen.
+    n_landmarks
+        How many landmarks; 0: a share of the biobots.
+    landmark_share
+        That share.
+    selection_timeout_s
+        How long neighbour reports of the biobots are waited for after dispersion.
+    exploration_s
+        How long exploration lasts; 0: until the gateway stops.
+    """
+
+    is_enabled: bool = False
+    dispersion_s: Annotated[float, msgspec.Meta(ge=0, le=86_400)] = 60.0
+    n_landmarks: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 0
+    landmark_share: Annotated[float, msgspec.Meta(gt=0, le=0.5)] = 0.15
+    selection_timeout_s: _Seconds = 30.0
+    exploration_s: Annotated[float, msgspec.Meta(ge=0, le=604_800)] = 0.0
+
+
+class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All of the gateway's configuration.
+
+    Keys
+    ----
+    site, name
+        Where the gateway stands and what it is called, in every key expression on Zenoh.
+    ports
+        The radios: ``serial:/dev/ttyACM0?baud=115200``, ``tcp:HOST:PORT``.
+    journal
+        The journal's file; made when it is not there.
+    listen, connect
+        Zenoh endpoints, such as ``tcp/127.0.0.1:7447``.
+    log_level
+        DEBUG, INFO, WARNING or ERROR.
+    link, encounters, clocks, stimulation, mission
+        Tables of their own.
+    """
+
+    site: str = "local"
+    name: str = "gateway1"
+    ports: tuple[str, ...] = ()
+    journal: str = "biobot-gateway.sqlite"
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    connect: tuple[str, ...] = ()
+    log_level: Annotated[str, msgspec.Meta(pattern="^(DEBUG|INFO|WARNING|ERROR)$")] = "INFO"
+    link: LinkTable = LinkTable()
+    encounters: EncounterTable = EncounterTable()
+    clocks: ClockTable = ClockTable()
+    stimulation: StimulationTable = StimulationTable()
+    mission: MissionTable = MissionTable()
+
+
+def load_gateway_config(
+    *, toml_path: Path | None = None, environment: Mapping[str, str] | None = None, flags: Mapping[str, object] | None = None
+) -> GatewayConfig:
+    """Build the configuration from its four sources and check what types cannot say.
+
+    Raises
+    ------
+    ConfigurationError
+        With one line for each fault.
+    """
+    toml_text = None
+    if toml_path is not None:
+        try:
+            toml_text = toml_path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigurationError([f"{toml_path}: cannot be read: {error}"]) from error
+    config = load_configuration(
+        GatewayConfig,
+        toml_text=toml_text,
+        toml_name=str(toml_path),
+        environment=environment,
+        environment_prefix=ENVIRONMENT_PREFIX,
+        flags=flags,
+    )
+    problems = [*_name_problems(config), *_pulse_problems(config.stimulation)]
+    if problems:
+        raise ConfigurationError(problems)
+    return config
+
+
+def _name_problems(config: GatewayConfig) -> list[str]:
+    problems = []
+    for name, what in ((config.site, "site"), (config.name, "gateway")):
+        try:
+            check_name(name, what=what)
+        except KeyExpressionError as error:
+            problems.append(f"{what}: {error}")
+    return problems
+
+
+def _pulse_problems(table: StimulationTable) -> list[str]:
+    # A bipolar pulse has two phases of the pulse width each; both must fit into one period.
+    period_us = 1_000_000 // table.frequency_hz
+    if 2 * table.pulse_width_us <= period_us:
+        return []
+    limit = f"two phases must fit into the {period_us} us period of {table.frequency_hz} Hz: at most {period_us // 2}"
+    return [f"stimulation.pulse_width_us is {table.pulse_width_us}, but {limit}"]

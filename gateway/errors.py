@@ -1,0 +1,87 @@
+"""Errors of the gateway, named for what the caller or the operator can do about them.
+
+GatewayError
+├── TransportError
+│   ├── TransportSpecError    a port is named in a way that cannot be opened: correct the name
+│   ├── TransportOpenError    a port cannot be opened now: try again later
+│   └── TransportClosedError  a port has gone: close it and open it again
+├── RadioUnavailableError     nothing can be sent by this radio now
+├── JournalError
+│   ├── JournalUnfitError     the file is no journal of ours, or not ours to write: choose another
+│   └── JournalFullError      too much waits for the disk: wait until it takes records again
+├── BusError                  Zenoh cannot be opened as configured
+└── CommandError              a command could not be brought to a gateway
+"""
+
+
+class GatewayError(Exception):
+    """Root of every error the gateway raises."""
+
+
+class TransportError(GatewayError):
+    """Something about a port."""
+
+
+class TransportSpecError(TransportError):
+    """A port is named in a way that cannot be opened."""
+
+    def __init__(self, *, spec: str, reason: str) -> None:
+        super().__init__(f"port {spec!r}: {reason}; examples: serial:/dev/ttyACM0?baud=115200, tcp:192.168.1.20:6638")
+        self.spec = spec
+        self.reason = reason
+
+
+class TransportOpenError(TransportError):
+    """A port cannot be opened now."""
+
+    def __init__(self, *, name: str, reason: str) -> None:
+        super().__init__(f"cannot open {name}: {reason}")
+        self.name = name
+        self.reason = reason
+
+
+class TransportClosedError(TransportError):
+    """A port has gone, or was closed by this side."""
+
+    def __init__(self, *, name: str, reason: str) -> None:
+        super().__init__(f"{name} is closed: {reason}")
+        self.name = name
+        self.reason = reason
+
+
+class RadioUnavailableError(GatewayError):
+    """A radio cannot take a payload now; nothing was sent."""
+
+    def __init__(self, *, radio: str, reason: str) -> None:
+        super().__init__(f"radio {radio} takes nothing now: {reason}")
+        self.radio = radio
+        self.reason = reason
+
+
+class JournalError(GatewayError):
+    """Something about the journal."""
+
+
+class JournalUnfitError(JournalError):
+    """A file cannot serve as the journal."""
+
+    def __init__(self, *, path: str, reason: str, advice: str) -> None:
+        super().__init__(f"journal {path}: {reason}; {advice}")
+        self.path = path
+        self.reason = reason
+
+
+class JournalFullError(JournalError):
+    """More writes wait for the disk than may wait."""
+
+    def __init__(self, *, limit: int) -> None:
+        super().__init__(f"{limit} writes wait for the disk, the limit; try again when the journal takes records")
+        self.limit = limit
+
+
+class BusError(GatewayError):
+    """Zenoh cannot be opened as configured."""
+
+
+class CommandError(GatewayError):
+    """A command could not be brought to a gateway; nothing was sent to the biobot."""

@@ -1,0 +1,315 @@
+"""What becomes of an uplink message: once into the journal, with all the records it brings about, then to whoever must know.
+
+Each message is taken once, whatever the radio repeats. Its raw bytes, its records and its sequence number are one write: on
+disk together or not at all. Only then is the biobot told, the dongle's payload confirmed and anything published.
+"""
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import msgspec
+
+from firmware_protocol.contract.records import Cause, EncounterRecord, JournalRecord, NeighbourReport, NodeStatus
+from firmware_protocol.messages import (
+    BROADCAST_NODE,
+    EncounterBatch,
+    EncounterEntry,
+    Hello,
+    MessageFault,
+    Neighbours,
+    Status,
+    StimulateReply,
+    StimulationResult,
+    TimeSyncReply,
+    Uplink,
+    UplinkHeader,
+    decode_uplink,
+)
+from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, NodeId
+from gateway.clocks import ClockBook, NodeClock
+from gateway.encounters import EncounterMerger, SideReport, margin_of
+from gateway.health import Health
+from gateway.issuer import RecordIssuer
+from gateway.journal import Journal
+from gateway.journal_file import JournalReader, JournalWrite, UplinkReport
+from gateway.modes import ModeReport, ModeTracker
+from gateway.nodes import Node, NodeBook, NodeMemory, cause_of, introduce, mode_of
+from gateway.radio import RadioMessage
+from gateway.sequences import SequenceWindow
+
+_MAX_BOOTS = 4
+"""Lives of one backpack whose messages are still taken: a dongle's queue may hold some from before a restart."""
+
+_MAX_AHEAD_MS = 1_000
+"""A time this far after the message was sent cannot be; less may come from rounding."""
+
+_CLOCK_PATIENCE_NS = 5 * NS_PER_S
+"""A backpack whose clock could not be settled for so long (it hears nothing) is believed as it is, with a wide error."""
+
+_RECALL_SLACK_NS = 10 * NS_PER_S
+"""Encounters this far around a late report are brought back: more than the margin of any record."""
+
+
+@dataclass(slots=True)
+class _Life:
+    """What has come of one boot of one backpack, and what of it is on disk."""
+
+    received: SequenceWindow = field(default_factory=SequenceWindow)
+    committed: SequenceWindow = field(default_factory=SequenceWindow)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IntakeListeners:
+    """Who is told, after the commit."""
+
+    on_committed: Callable[[NodeId], None]
+    on_status: Callable[[NodeStatus], None]
+    on_neighbours: Callable[[NeighbourReport], None]
+    on_reply: Callable[[NodeId, StimulateReply], None]
+    on_unknown_clock: Callable[[], None]
+    """Told at once: a report was not taken because its backpack's clock is not known yet."""
+
+
+class Intake:
+    """Takes uplink messages; see the module's description. Belongs to one event loop."""
+
+    def __init__(
+        self,
+        *,
+        issuer: RecordIssuer,
+        journal: Journal,
+        reader: JournalReader,
+        nodes: NodeBook,
+        clocks: ClockBook,
+        health: Health,
+        window_s: float,
+        now_ns: int,
+    ) -> None:
+        self._issuer = issuer
+        self._journal = journal
+        self._reader = reader
+        self._nodes = nodes
+        self._clocks = clocks
+        self._health = health
+        self._window_ns = int(window_s * NS_PER_S)
+        self._horizon_ns = now_ns
+        self._merger = EncounterMerger(issuer=issuer)
+        self._modes = ModeTracker(issuer=issuer)
+        self._lives: dict[NodeId, OrderedDict[BootId, _Life]] = {}
+        self._listeners: IntakeListeners | None = None
+        self._restore()
+
+    def connect(self, listeners: IntakeListeners) -> None:
+        """Say who is told after commits; to be called before the first message."""
+        self._listeners = listeners
+
+    def window_of(self, node: NodeId) -> tuple[BootId, int, int] | None:
+        """Return a biobot's newest boot and what of it is on disk, as an Acknowledge says it."""
+        known = self._nodes.find(node)
+        life = None if known is None else self._lives.get(node, OrderedDict()).get(known.boot)
+        if known is None or life is None:
+            return None
+        return known.boot, *life.committed.acknowledgement()
+
+    def take(self, message: RadioMessage) -> "asyncio.Future[None] | None":
+        """Take a radio payload; the future is done when all of it is on disk. None: there is nothing to wait for."""
+        decoded = decode_uplink(message.payload)
+        if isinstance(decoded, MessageFault):
+            self._health.count(f"message.{decoded.value}")
+            return None
+        header, uplink = decoded
+        if header.node == BROADCAST_NODE or self._journal.is_full:
+            # Not acknowledged to the backpack, so it repeats what was dropped for want of room.
+            self._health.count("message.nobodys" if header.node == BROADCAST_NODE else "message.no_room")
+            return None
+        node, is_changed = self._note(message, header)
+        clock = self._clocks.observe(node=header.node, boot=header.boot, sent_ms=header.sent_ms, received_ns=message.received_ns)
+        if isinstance(uplink, TimeSyncReply):
+            is_ours = self._clocks.end_exchange(node=header.node, boot=header.boot, token=uplink.token, arrived_ms=uplink.received_ms)
+            self._health.count("message.time_sync_reply" if is_ours else "message.time_sync_unexpected")
+            return None
+        if isinstance(uplink, EncounterBatch | Status) and self._must_wait(clock, now_ns=message.received_ns):
+            # Not acknowledged, so it comes again: a second later its times can be trusted.
+            self._health.count("message.clock_unknown")
+            self._listeners_or_fail().on_unknown_clock()
+            return None
+        life = self._life(header.node, header.boot)
+        number = life.received.unwrap(header.sequence)
+        if life.received.has(number):
+            self._health.count("message.repeated")
+            done = self._journal.barrier()
+            done.add_done_callback(lambda _: self._listeners_or_fail().on_committed(header.node))
+            return done
+        life.received.add(number)
+        self._health.count(f"message.{type(uplink).__name__.lower()}")
+        records, tell = self._digest(uplink, header=header, node=node, clock=clock, number=number)
+        if isinstance(uplink, Hello):
+            is_changed = True
+        write = JournalWrite(
+            records=records,
+            report=UplinkReport(
+                node=header.node,
+                boot=header.boot,
+                number=number,
+                next_number=life.received.next,
+                received_wall_ns=self._issuer.to_wall_ns(message.received_ns),
+                radio=message.radio,
+                address=message.source,
+                rssi_dbm=message.rssi_dbm,
+                lqi=message.lqi,
+                payload=message.payload,
+            ),
+            node=(header.node, msgspec.msgpack.encode(node.memory())) if is_changed else None,
+        )
+        done = self._journal.append(write)
+        done.add_done_callback(partial(self._committed, life, number, header.node, tell))
+        return done
+
+    def forget_old(self, *, now_ns: int) -> None:
+        """Drop encounters older than the window from memory; the journal knows them. To be called now and then."""
+        if self._journal.barrier().done():  # what is not on disk yet could not be recalled
+            self._horizon_ns = max(self._horizon_ns, now_ns - self._window_ns)
+            self._merger.forget_before(self._horizon_ns)
+        self._health.set_level("encounters.in_memory", len(self._merger))
+
+    def _must_wait(self, clock: NodeClock, *, now_ns: int) -> bool:
+        return not clock.is_settled and now_ns - clock.first_ns < _CLOCK_PATIENCE_NS
+
+    def _restore(self) -> None:
+        self._nodes.restore(msgspec.msgpack.decode(body, type=NodeMemory) for body in self._reader.read_nodes())
+        for node, boot, next_number, above in self._reader.read_windows():
+            life = self._life(node, boot)
+            for window in (life.received, life.committed):
+                window.next, window.is_fresh = next_number, False
+                for number in above:
+                    window.add(number)
+        self._modes.restore(self._reader.read_recent_modes(limit=10_000))
+
+    def _listeners_or_fail(self) -> IntakeListeners:
+        assert self._listeners is not None, "connect() comes before the first message"
+        return self._listeners
+
+    def _committed(
+        self, life: _Life, number: int, node: NodeId, tell: Callable[[IntakeListeners], None] | None, _done: "asyncio.Future[None]"
+    ) -> None:
+        life.committed.add(number)
+        listeners = self._listeners_or_fail()
+        listeners.on_committed(node)
+        if tell is not None:
+            tell(listeners)
+
+    def _life(self, node: NodeId, boot: BootId) -> _Life:
+        lives = self._lives.setdefault(node, OrderedDict())
+        life = lives.get(boot)
+        if life is None:
+            life = lives[boot] = _Life()
+            while len(lives) > _MAX_BOOTS:
+                lives.popitem(last=False)
+        return life
+
+    def _note(self, message: RadioMessage, header: UplinkHeader) -> tuple[Node, bool]:
+        return self._nodes.heard(
+            node=header.node,
+            boot=header.boot,
+            radio=message.radio,
+            address=message.source,
+            rssi_dbm=message.rssi_dbm,
+            lqi=message.lqi,
+            now_ns=message.received_ns,
+            now_wall_ns=self._issuer.to_wall_ns(message.received_ns),
+        )
+
+    def _digest(
+        self, uplink: Uplink, *, header: UplinkHeader, node: Node, clock: NodeClock, number: int
+    ) -> tuple[tuple[JournalRecord, ...], Callable[[IntakeListeners], None] | None]:
+        """Return the records that a message brings about, and whom to tell of it after the commit."""
+        match uplink:
+            case Hello():
+                introduce(node, uplink)
+                return (), self._tell_status(node)
+            case EncounterBatch(entries=entries):
+                return tuple(record for entry in entries for record in self._merge(entry, header=header, node=node, clock=clock)), None
+            case Status():
+                node.status = uplink
+                report = self._mode_report(uplink, header=header, clock=clock)
+                return () if report is None else tuple(self._modes.observe(report)), self._tell_status(node)
+            case Neighbours():
+                wall_ns = node.last_heard_wall_ns
+                whole = self._nodes.take_neighbours(node, uplink, number=number, wall_ns=wall_ns)
+                return (), None if whole is None else lambda listeners: listeners.on_neighbours(whole)
+            case StimulateReply():
+                report = self._mode_report(uplink, header=header, clock=clock)
+                records = () if report is None else tuple(self._modes.observe(report))
+                return records, lambda listeners: listeners.on_reply(header.node, uplink)
+            case TimeSyncReply():
+                return (), None  # not kept by backpacks, and taken before
+
+    def _tell_status(self, node: Node) -> Callable[[IntakeListeners], None] | None:
+        status = self._nodes.status_of(node)
+        return None if status is None else lambda listeners: listeners.on_status(status)
+
+    def _merge(self, entry: EncounterEntry, *, header: UplinkHeader, node: Node, clock: NodeClock) -> list[EncounterRecord]:
+        end_ms = Milliseconds(entry.start_ms + entry.duration_ms)
+        if entry.peer in {header.node, BROADCAST_NODE} or end_ms > header.sent_ms + _MAX_AHEAD_MS:
+            self._health.count("encounter.impossible")
+            return []
+        start, end = clock.read(entry.start_ms), clock.read(end_ms)
+        error_ns = max(start.error_ns, end.error_ns)
+        report = SideReport(
+            node=header.node,
+            peer=entry.peer,
+            t_start_ns=start.t_ns,
+            t_end_ns=end.t_ns,
+            error_ns=error_ns,
+            rssi_dbm=entry.rssi_dbm,
+            is_ongoing=entry.is_ongoing,
+            margin_ns=margin_of(beacon_period_ms=node.beacon_period_ms, error_ns=error_ns),
+        )
+        if report.t_start_ns - report.margin_ns <= self._horizon_ns:
+            self._recall(report)
+        self._health.count("encounter.reports")
+        return self._merger.merge(report)
+
+    def _recall(self, report: SideReport) -> None:
+        """Bring back from the journal what the merger has forgotten and this late report may belong to."""
+        node_a, node_b = sorted((report.node, report.peer))
+        slack_ns = report.margin_ns + _RECALL_SLACK_NS
+        records = self._reader.read_pair(
+            node_a=node_a,
+            node_b=node_b,
+            from_wall_ns=self._issuer.to_wall_ns(report.t_start_ns - slack_ns),
+            to_wall_ns=self._issuer.to_wall_ns(report.t_end_ns + slack_ns),
+        )
+        if records:
+            self._merger.restore(records, margin=self._margin_of_record)
+
+    def _margin_of_record(self, record: EncounterRecord) -> int:
+        nodes = (self._nodes.find(record.node_a), self._nodes.find(record.node_b))
+        period_ms = max((node.beacon_period_ms for node in nodes if node is not None), default=0)
+        return margin_of(beacon_period_ms=period_ms, error_ns=record.error_ns)
+
+    def _mode_report(self, uplink: Status | StimulateReply, *, header: UplinkHeader, clock: NodeClock) -> ModeReport | None:
+        is_reply = isinstance(uplink, StimulateReply)
+        if isinstance(uplink, StimulateReply):
+            if uplink.result is not StimulationResult.DONE or not clock.is_settled:
+                return None  # nothing has changed by it, or when is not known: the status that follows will tell
+            since_ms, cause = uplink.executed_ms, Cause.COMMAND
+        else:
+            since_ms, cause = uplink.mode_since_ms, cause_of(uplink.cause)
+        if since_ms > header.sent_ms + _MAX_AHEAD_MS:
+            self._health.count("mode.impossible")
+            return None
+        since = clock.read(since_ms)
+        return ModeReport(
+            node=header.node,
+            boot=header.boot,
+            since_ms=since_ms,
+            t_start_ns=since.t_ns,
+            error_ns=since.error_ns,
+            mode=mode_of(uplink.mode),
+            cause=cause,
+            is_from_reply=is_reply,
+        )

@@ -1,0 +1,218 @@
+"""The exploration protocol of [Dir16] IV: dispersion, landmark selection, exploration.
+
+``MissionPlanner`` is pure: it is told what is so and returns what to do. ``Mission`` does it, through the stimulation gate.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from firmware_protocol.contract.records import (
+    CommandStage,
+    MissionPhase,
+    MissionRecord,
+    Stage,
+    StimulationAction,
+    StimulationRequest,
+)
+from firmware_protocol.landmarks import select_landmarks
+from firmware_protocol.messages import WireMode
+from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
+from gateway.config import MissionTable
+from gateway.health import Health
+from gateway.issuer import RecordIssuer
+from gateway.journal import Journal
+from gateway.journal_file import JournalWrite
+from gateway.log import EventLog
+from gateway.nodes import NodeBook
+from gateway.stimulation import StimulationGate
+
+_log = EventLog(__name__)
+
+_TICK_S = 0.1
+_OPERATOR = "mission"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnterPhase:
+    """Begin a phase, and say so."""
+
+    phase: MissionPhase
+    landmarks: tuple[NodeId, ...] = ()
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MakeLandmark:
+    """Command a biobot to stand still."""
+
+    node: NodeId
+
+
+MissionStep: TypeAlias = EnterPhase | MakeLandmark
+
+
+@dataclass(slots=True, kw_only=True)
+class MissionPlanner:
+    """The mission's state machine.
+
+    A landmark is confirmed when its biobot answers the stop, or reports that it stands by then; where it does neither, the
+    next best takes its place. Exploration begins when nothing is awaited any more.
+    """
+
+    config: MissionTable
+    phase: MissionPhase = MissionPhase.IDLE
+    confirmed: set[NodeId] = field(default_factory=set)
+    _since_ns: int = 0
+    _adjacency: dict[int, frozenset[NodeId]] | None = None
+    _awaited: set[NodeId] = field(default_factory=set)
+    _failed: set[NodeId] = field(default_factory=set)
+
+    def tick(self, *, now_ns: int, known: set[NodeId], adjacency: Mapping[NodeId, frozenset[NodeId]]) -> list[MissionStep]:
+        """Return what is to be done now.
+
+        Parameters
+        ----------
+        known
+            All biobots heard of.
+        adjacency
+            Whom each biobot hears, of those that have reported it.
+        """
+        elapsed_s = (now_ns - self._since_ns) / NS_PER_S
+        match self.phase:
+            case MissionPhase.IDLE if known:
+                return [self._enter(MissionPhase.DISPERSION, now_ns=now_ns, reason="the first biobot was heard")]
+            case MissionPhase.DISPERSION if elapsed_s >= self.config.dispersion_s:
+                reason = f"dispersed for {self.config.dispersion_s:g} s"
+                return [self._enter(MissionPhase.LANDMARK_SELECTION, now_ns=now_ns, reason=reason)]
+            case MissionPhase.LANDMARK_SELECTION:
+                return self._select(now_ns=now_ns, elapsed_s=elapsed_s, known=known, adjacency=adjacency)
+            case MissionPhase.EXPLORATION if self.config.exploration_s and elapsed_s >= self.config.exploration_s:
+                return [self._enter(MissionPhase.DONE, now_ns=now_ns, reason=f"explored for {self.config.exploration_s:g} s")]
+            case _:
+                return []
+
+    def settle(self, node: NodeId, *, is_standing: bool) -> list[MissionStep]:
+        """Take the outcome of a landmark's stop; return the command to its replacement, if it needs one."""
+        self._awaited.discard(node)
+        if is_standing:
+            self.confirmed.add(node)
+            return []
+        self._failed.add(node)
+        replacement = self._next_best()
+        if replacement is None:
+            return []
+        self._awaited.add(replacement)
+        return [MakeLandmark(node=replacement)]
+
+    def _select(
+        self, *, now_ns: int, elapsed_s: float, known: set[NodeId], adjacency: Mapping[NodeId, frozenset[NodeId]]
+    ) -> list[MissionStep]:
+        if self._adjacency is None:
+            if not known <= adjacency.keys() and elapsed_s < self.config.selection_timeout_s:
+                return []
+            reported = adjacency or {node: frozenset[NodeId]() for node in known}
+            self._adjacency = {int(node): heard for node, heard in reported.items()}
+            wanted = self.config.n_landmarks or max(1, round(self.config.landmark_share * len(known)))
+            picks = select_landmarks(self._adjacency, count=min(wanted, len(self._adjacency)))
+            self._awaited = {NodeId(node) for node in picks}
+            return [MakeLandmark(node=NodeId(node)) for node in picks]
+        if self._awaited:
+            return []
+        reason = f"{len(self.confirmed)} landmarks stand"
+        if self._failed:
+            reason += f"; not reached: {', '.join(str(node) for node in sorted(self._failed))}"
+        return [self._enter(MissionPhase.EXPLORATION, now_ns=now_ns, reason=reason)]
+
+    def _next_best(self) -> NodeId | None:
+        """Return the first pick that a longer selection without the failed ones adds to those standing or awaited."""
+        candidates = {node: heard for node, heard in (self._adjacency or {}).items() if node not in self._failed}
+        taken = self.confirmed | self._awaited
+        for count in range(min(len(taken) + 1, len(candidates)), len(candidates) + 1):
+            for node in select_landmarks(candidates, count=count):
+                if node not in taken:
+                    return NodeId(node)
+        return None
+
+    def _enter(self, phase: MissionPhase, *, now_ns: int, reason: str) -> EnterPhase:
+        self.phase, self._since_ns = phase, now_ns
+        return EnterPhase(phase=phase, landmarks=tuple(sorted(self.confirmed)), reason=reason)
+
+
+class Mission:
+    """Runs the planner's steps; ``run`` is its task."""
+
+    def __init__(
+        self,
+        *,
+        config: MissionTable,
+        issuer: RecordIssuer,
+        journal: Journal,
+        nodes: NodeBook,
+        gate: StimulationGate,
+        health: Health,
+        wall_clock: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._planner = MissionPlanner(config=config)
+        self._issuer = issuer
+        self._journal = journal
+        self._nodes = nodes
+        self._gate = gate
+        self._health = health
+        self._wall_clock = wall_clock
+
+    async def run(self) -> None:
+        """Go through the phases, until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            while True:
+                heard = {node.node for node in self._nodes.all() if node.last_heard_ns}
+                adjacency = {node: others for node, others in self._nodes.adjacency().items() if node in heard}
+                self._take(self._planner.tick(now_ns=time.monotonic_ns(), known=heard, adjacency=adjacency), tasks)
+                await asyncio.sleep(_TICK_S)
+
+    def _take(self, steps: list[MissionStep], tasks: asyncio.TaskGroup) -> None:
+        for step in steps:
+            match step:
+                case EnterPhase():
+                    self._record(step)
+                case MakeLandmark(node=node):
+                    tasks.create_task(self._make_landmark(node, tasks))
+
+    async def _make_landmark(self, node: NodeId, tasks: asyncio.TaskGroup) -> None:
+        request = StimulationRequest(
+            command_id=f"mission-{self._issuer.boot}-{node}",
+            node=node,
+            action=StimulationAction.STOP,
+            operator=_OPERATOR,
+            issued_wall_ns=Nanoseconds(self._wall_clock()),
+        )
+        outcome: list[CommandStage] = []
+        await self._gate.handle(request, outcome.append)
+        is_standing = outcome[-1].stage is Stage.BIOBOT_CONFIRMED or self._reports_standing(node)
+        self._health.count("mission.landmarks" if is_standing else "mission.landmarks_failed")
+        if not is_standing:
+            _log.warning("mission.landmark_failed", node=node, outcome=outcome[-1].stage.value, reason=outcome[-1].reason)
+        self._take(self._planner.settle(node, is_standing=is_standing), tasks)
+
+    def _reports_standing(self, node: NodeId) -> bool:
+        known = self._nodes.find(node)
+        return known is not None and known.status is not None and known.status.mode is WireMode.S
+
+    def _record(self, step: EnterPhase) -> None:
+        _log.info("mission.phase", phase=step.phase.value, landmarks=len(step.landmarks), reason=step.reason)
+        record = MissionRecord(
+            gateway=self._issuer.gateway,
+            journal=self._issuer.journal,
+            offset=1,
+            boot=self._issuer.boot,
+            sequence=self._issuer.take_sequence(),
+            revision=0,
+            wall_anchor_ns=self._issuer.wall_anchor_ns,
+            phase=step.phase,
+            t_start_ns=Nanoseconds(time.monotonic_ns()),
+            landmarks=step.landmarks,
+            reason=step.reason,
+        )
+        self._journal.append(JournalWrite(records=(record,)))

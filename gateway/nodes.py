@@ -1,0 +1,207 @@
+"""What is known of every biobot: who it is, how it is reached, how it fares. Pure; at most 65,535 of them, by their number."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import msgspec
+
+from firmware_protocol.contract.records import Cause, Mode, NeighbourEntry, NeighbourReport, NodeStatus
+from firmware_protocol.messages import Hello, Neighbours, Status, WireCause, WireMode
+from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm, ShortAddress
+
+_PENDING_PARTS = 33
+"""A neighbour report cannot have more parts under way than a backpack has messages outstanding (WIRE_FORMAT.md §5.1)."""
+
+
+class NodeMemory(msgspec.Struct, frozen=True, kw_only=True):
+    """What of a biobot outlives the gateway's process."""
+
+    node: NodeId
+    boot: BootId
+    radio: str
+    address: ShortAddress
+    eui64: int
+    firmware: int
+    beacon_period_ms: int
+    capabilities: int
+    is_introduced: bool
+
+
+@dataclass(slots=True, kw_only=True)
+class Node:
+    """A biobot as last heard. ``is_introduced``: its hello of this boot has come."""
+
+    node: NodeId
+    boot: BootId
+    radio: str
+    address: ShortAddress
+    last_heard_wall_ns: Nanoseconds
+    last_heard_ns: int
+    rssi_dbm: RssiDbm
+    lqi: int
+    is_introduced: bool = False
+    eui64: int = 0
+    firmware: int = 0
+    beacon_period_ms: int = 0
+    capabilities: int = 0
+    status: Status | None = None
+    neighbours: tuple[NeighbourEntry, ...] | None = None
+    parts: dict[int, tuple[int, Neighbours]] = field(default_factory=dict)
+
+    def memory(self) -> NodeMemory:
+        """Return what is to be kept of it over a restart."""
+        return NodeMemory(
+            node=self.node,
+            boot=self.boot,
+            radio=self.radio,
+            address=self.address,
+            eui64=self.eui64,
+            firmware=self.firmware,
+            beacon_period_ms=self.beacon_period_ms,
+            capabilities=self.capabilities,
+            is_introduced=self.is_introduced,
+        )
+
+
+@dataclass(slots=True, kw_only=True)
+class NodeBook:
+    """All biobots that a gateway knows."""
+
+    gateway: str
+    _nodes: dict[NodeId, Node] = field(default_factory=dict)
+
+    def heard(
+        self,
+        *,
+        node: NodeId,
+        boot: BootId,
+        radio: str,
+        address: ShortAddress,
+        rssi_dbm: RssiDbm,
+        lqi: int,
+        now_ns: int,
+        now_wall_ns: Nanoseconds,
+    ) -> tuple[Node, bool]:
+        """Take note of any message from a biobot; return it, and whether what ``memory`` keeps has changed."""
+        known = self._nodes.get(node)
+        if known is None:
+            known = self._nodes[node] = Node(
+                node=node,
+                boot=boot,
+                radio=radio,
+                address=address,
+                last_heard_wall_ns=now_wall_ns,
+                last_heard_ns=now_ns,
+                rssi_dbm=rssi_dbm,
+                lqi=lqi,
+            )
+            return known, True
+        has_changed = (known.boot, known.radio, known.address) != (boot, radio, address)
+        if known.boot != boot:
+            known.is_introduced = False
+            known.parts.clear()
+            known.boot = boot
+        known.radio, known.address = radio, address
+        known.last_heard_ns, known.last_heard_wall_ns = now_ns, now_wall_ns
+        known.rssi_dbm, known.lqi = rssi_dbm, lqi
+        return known, has_changed
+
+    def find(self, node: NodeId) -> Node | None:
+        """Return a biobot, or None where it was never heard of."""
+        return self._nodes.get(node)
+
+    def all(self) -> list[Node]:
+        """Return all biobots, by number."""
+        return [self._nodes[node] for node in sorted(self._nodes)]
+
+    def status_of(self, node: Node) -> NodeStatus | None:
+        """Return what is published of a biobot, or None before its first status."""
+        status = node.status
+        if status is None:
+            return None
+        return NodeStatus(
+            gateway=self.gateway,
+            radio=node.radio,
+            node=node.node,
+            eui64=node.eui64,
+            boot=node.boot,
+            mode=mode_of(status.mode),
+            cause=cause_of(status.cause),
+            battery_mv=status.battery_mv,
+            rssi_dbm=node.rssi_dbm,
+            lqi=node.lqi,
+            last_heard_wall_ns=node.last_heard_wall_ns,
+            buffered=status.buffered,
+            dropped=status.dropped,
+            firmware=node.firmware,
+        )
+
+    def take_neighbours(self, node: Node, part: Neighbours, *, number: int, wall_ns: Nanoseconds) -> NeighbourReport | None:
+        """Take a part of a neighbour report; return the whole when its last part has come.
+
+        Parameters
+        ----------
+        number
+            Unwrapped sequence number of the message: the parts of one report have consecutive ones (WIRE_FORMAT.md §5.5).
+        """
+        if part.n_parts > _PENDING_PARTS:
+            return None
+        node.parts[number] = (number, part)
+        first = number - part.part
+        members = [node.parts.get(first + index) for index in range(part.n_parts)]
+        for old in [known for known in node.parts if known < number - 2 * _PENDING_PARTS]:
+            del node.parts[old]
+        found = [member[1] for member in members if member is not None and member[1].n_parts == part.n_parts]
+        if len(found) < part.n_parts:
+            return None
+        for index in range(part.n_parts):
+            del node.parts[first + index]
+        strongest: dict[NodeId, RssiDbm] = {}
+        for one in (neighbour for member in found for neighbour in member.neighbours):
+            strongest[one.node] = max(one.rssi_dbm, strongest.get(one.node, one.rssi_dbm))
+        node.neighbours = tuple(NeighbourEntry(node=other, rssi_dbm=strongest[other]) for other in sorted(strongest))
+        return NeighbourReport(gateway=self.gateway, node=node.node, wall_ns=wall_ns, neighbours=node.neighbours)
+
+    def adjacency(self) -> dict[NodeId, frozenset[NodeId]]:
+        """Return who hears whom, of all biobots that have reported neighbours."""
+        return {
+            node.node: frozenset(entry.node for entry in node.neighbours) for node in self._nodes.values() if node.neighbours is not None
+        }
+
+    def restore(self, memories: Iterable[NodeMemory]) -> None:
+        """Know again the biobots of an earlier process; they count as not heard since."""
+        for memory in memories:
+            self._nodes[memory.node] = Node(
+                node=memory.node,
+                boot=memory.boot,
+                radio=memory.radio,
+                address=memory.address,
+                last_heard_wall_ns=Nanoseconds(0),
+                last_heard_ns=0,
+                rssi_dbm=RssiDbm(0),
+                lqi=0,
+                is_introduced=memory.is_introduced,
+                eui64=memory.eui64,
+                firmware=memory.firmware,
+                beacon_period_ms=memory.beacon_period_ms,
+                capabilities=memory.capabilities,
+            )
+
+
+def introduce(node: Node, hello: Hello) -> None:
+    """Take note of a biobot's hello."""
+    node.is_introduced = True
+    node.eui64 = hello.eui64
+    node.firmware = hello.firmware
+    node.beacon_period_ms = hello.beacon_period_ms
+    node.capabilities = hello.capabilities
+
+
+def mode_of(mode: WireMode) -> Mode:
+    """Return the record's word for a mode on the wire."""
+    return Mode.S if mode is WireMode.S else Mode.CRW
+
+
+def cause_of(cause: WireCause) -> Cause:
+    """Return the record's word for a cause on the wire."""
+    return Cause.COMMAND if cause is WireCause.COMMAND else Cause.NATURAL

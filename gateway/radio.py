@@ -1,0 +1,54 @@
+"""What passes between a radio and the rest of the gateway, whatever its dialect."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from firmware_protocol.envelope import RadioStatus
+from firmware_protocol.units import RssiDbm, ShortAddress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RadioMessage:
+    """A radio payload and the circumstances of its arrival."""
+
+    radio: str
+    source: ShortAddress
+    rssi_dbm: RssiDbm
+    lqi: int
+    payload: bytes
+    received_ns: int
+
+
+class Fate(Enum):
+    """What became of a payload that was sent down."""
+
+    SENT = "sent"
+    NO_ACK = "no_ack"
+    """Sent, but the biobot's radio did not acknowledge; it may have heard it."""
+    NOT_SENT = "not_sent"
+    """The dongle says that it did not go out."""
+    UNKNOWN = "unknown"
+    """The link or the dongle did not tell."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RadioOutcome:
+    """Fate of a payload, and the reason where there is one."""
+
+    fate: Fate
+    reason: str = ""
+
+
+def outcome_of(status: int) -> RadioOutcome:
+    """Return what a RadioConfirm says; an unknown status says nothing."""
+    try:
+        known = RadioStatus(status)
+    except ValueError:
+        return RadioOutcome(fate=Fate.UNKNOWN, reason=f"unknown radio status {status}")
+    if known is RadioStatus.SENT:
+        return RadioOutcome(fate=Fate.SENT)
+    if known is RadioStatus.NO_ACK:
+        return RadioOutcome(fate=Fate.NO_ACK, reason="no acknowledgement from the biobot's radio")
+    if known is RadioStatus.OTHER:
+        return RadioOutcome(fate=Fate.UNKNOWN, reason="the radio reports an unnamed fault")
+    return RadioOutcome(fate=Fate.NOT_SENT, reason=known.name.lower())

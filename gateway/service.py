@@ -1,0 +1,217 @@
+"""The running gateway: every part wired to the others, in the one task group."""
+
+import asyncio
+import signal
+import time
+from collections.abc import Awaitable, Callable
+from functools import partial
+from pathlib import Path
+
+from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, StimulationRequest
+from firmware_protocol.units import NS_PER_S, Nanoseconds
+from gateway.acknowledger import Acknowledger
+from gateway.bus import Bus, CommandAnswer
+from gateway.clocks import ClockBook
+from gateway.config import GatewayConfig
+from gateway.coordinator import Coordinator
+from gateway.downlink import DownlinkSender
+from gateway.health import Health, RadioState
+from gateway.inquiries import Inquirer
+from gateway.intake import Intake, IntakeListeners
+from gateway.issuer import RecordIssuer
+from gateway.journal import Journal
+from gateway.log import EventLog
+from gateway.mission import Mission
+from gateway.nodes import NodeBook
+from gateway.stimulation import StimulationGate
+from gateway.transports.interface import Transport
+from gateway.transports.spec import open_transport, parse_port_spec
+
+_log = EventLog(__name__)
+
+_STATUS_PERIOD_S = 1.0
+_FORGET_EVERY = 10
+"""Old encounters leave memory every so many status periods."""
+
+_DRAIN_TIMEOUT_S = 5.0
+_CANCEL_AGAIN_S = 0.5
+
+
+class Service:
+    """A gateway, from open to closed. ``run`` opens everything, runs until ``stop``, and closes it in reverse order."""
+
+    def __init__(self, config: GatewayConfig) -> None:
+        self._config = config
+        self._health = Health()
+        self._stopping = asyncio.Event()
+        self._command_tasks: set[asyncio.Task[None]] = set()
+
+    def stop(self) -> None:
+        """Have ``run`` finish what is under way and return."""
+        self._stopping.set()
+
+    async def run(self, *, on_ready: Callable[[], None] | None = None) -> None:
+        """Run until stopped.
+
+        Raises
+        ------
+        TransportSpecError, JournalUnfitError, BusError
+            The configuration names what cannot be opened. A radio that is not there is no error: it is waited for.
+        """
+        ports = {spec.name: spec for spec in map(parse_port_spec, self._config.ports)}
+        self._journal = Journal.open(Path(self._config.journal), health=self._health)
+        try:
+            bus = await asyncio.to_thread(Bus.open, self._config, health=self._health)
+            try:
+                await self._run_parts({name: partial(open_transport, spec) for name, spec in ports.items()}, bus, on_ready)
+            finally:
+                await asyncio.to_thread(bus.close)
+        finally:
+            await asyncio.to_thread(self._journal.close)
+        _log.info("gateway.stopped", head_offset=self._journal.head_offset)
+
+    async def _run_parts(self, ports: dict[str, Callable[[], Awaitable[Transport]]], bus: Bus, on_ready: Callable[[], None] | None) -> None:
+        config, journal, health = self._config, self._journal, self._health
+        now_ns = time.monotonic_ns()
+        issuer = RecordIssuer(
+            gateway=config.name,
+            journal=journal.journal_id,
+            boot=journal.boot,
+            wall_anchor_ns=Nanoseconds(time.time_ns() - now_ns),
+        )
+        reader = journal.reader()
+        nodes = NodeBook(gateway=config.name)
+        clocks = ClockBook(window_ns=int(config.clocks.window_s * NS_PER_S))
+        intake = Intake(
+            issuer=issuer,
+            journal=journal,
+            reader=reader,
+            nodes=nodes,
+            clocks=clocks,
+            health=health,
+            window_s=config.encounters.window_s,
+            now_ns=now_ns,
+        )
+        coordinators = {
+            name: Coordinator(
+                radio=name,
+                open_port=open_port,
+                on_radio=intake.take,
+                config=config.link,
+                health=health,
+                on_state=partial(self._on_radio_state, bus),
+            )
+            for name, open_port in ports.items()
+        }
+        sender = DownlinkSender(coordinators=coordinators, nodes=nodes)
+        acknowledger = Acknowledger(sender=sender, window_of=intake.window_of, health=health)
+        inquirer = Inquirer(sender=sender, nodes=nodes, clocks=clocks, sync_period_s=config.clocks.sync_period_s, health=health)
+        gate = StimulationGate(
+            gateway=config.name,
+            config=config.stimulation,
+            sender=sender,
+            nodes=nodes,
+            journal=journal,
+            reader=reader,
+            health=health,
+        )
+        intake.connect(
+            IntakeListeners(
+                on_committed=acknowledger.mark,
+                on_status=bus.publish_node_status,
+                on_neighbours=bus.publish_neighbours,
+                on_reply=gate.on_reply,
+                on_unknown_clock=inquirer.wake,
+            )
+        )
+        journal.listen(bus.publish_records)
+        journal.listen_for_fault(partial(self._on_journal_fault, bus))
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                running = [tasks.create_task(journal.run())]
+                bus.start(on_command=partial(self._on_command, gate, tasks), open_reader=journal.reader, journal=journal.journal_id)
+                running.append(tasks.create_task(self._publish_status(bus, intake)))
+                running.append(tasks.create_task(acknowledger.run()))
+                running.append(tasks.create_task(inquirer.run()))
+                if config.mission.is_enabled:
+                    mission = Mission(config=config.mission, issuer=issuer, journal=journal, nodes=nodes, gate=gate, health=health)
+                    running.append(tasks.create_task(mission.run()))
+                running += [tasks.create_task(coordinator.run()) for coordinator in coordinators.values()]
+                _log.info("gateway.started", name=config.name, site=config.site, journal=journal.journal_id, boot=journal.boot)
+                if on_ready is not None:
+                    on_ready()
+                await self._stopping.wait()
+                await self._wind_down(running, gate)
+        finally:
+            reader.close()
+
+    async def _wind_down(self, running: list[asyncio.Task[None]], gate: StimulationGate) -> None:
+        """Stop in the reverse order of the start; the journal, started first, is drained before it ends."""
+        _log.info("gateway.stopping")
+        gate.abandon()
+        journal_task, *others = running
+        others += self._command_tasks
+        pending = set(others)
+        while pending:
+            # A cancellation that meets a port's closing in the same step is lost (Python 3.11): it is asked for again.
+            for task in reversed(others):
+                task.cancel()
+            _, pending = await asyncio.wait(pending, timeout=_CANCEL_AGAIN_S)
+        try:
+            async with asyncio.timeout(_DRAIN_TIMEOUT_S):
+                await self._journal.drain()
+        except TimeoutError:
+            _log.error("gateway.undrained", reason=self._journal.fault or "slow disk", seconds=_DRAIN_TIMEOUT_S)
+        journal_task.cancel()
+
+    def _on_command(self, gate: StimulationGate, tasks: asyncio.TaskGroup, request: StimulationRequest, answer: CommandAnswer) -> None:
+        if self._stopping.is_set():
+            return
+        task = tasks.create_task(gate.handle(request, answer.tell))
+        self._command_tasks.add(task)
+        task.add_done_callback(self._command_tasks.discard)
+
+    def _on_radio_state(self, bus: Bus, radio: str, state: RadioState, reason: str) -> None:
+        level = "info" if state is RadioState.UP else "warning"
+        self._publish_event(bus, level=level, kind=f"radio.{state.value}", facts={"radio": radio, "reason": reason})
+
+    def _on_journal_fault(self, bus: Bus, reason: str | None) -> None:
+        level, kind = ("info", "journal.recovered") if reason is None else ("error", "journal.fault")
+        self._publish_event(bus, level=level, kind=kind, facts={"path": self._config.journal, "reason": reason or ""})
+
+    def _publish_event(self, bus: Bus, *, level: str, kind: str, facts: dict[str, str]) -> None:
+        bus.publish_event(GatewayEvent(gateway=self._config.name, wall_ns=Nanoseconds(time.time_ns()), level=level, kind=kind, facts=facts))
+
+    async def _publish_status(self, bus: Bus, intake: Intake) -> None:
+        journal = self._journal
+        n_periods = 0
+        while True:
+            bus.publish_gateway_status(
+                GatewayStatus(
+                    gateway=self._config.name,
+                    journal=journal.journal_id,
+                    boot=journal.boot,
+                    head_offset=journal.head_offset,
+                    wall_ns=Nanoseconds(time.time_ns()),
+                    radios=self._health.radios(),
+                    counters=self._health.counters(),
+                )
+            )
+            await asyncio.sleep(_STATUS_PERIOD_S)
+            n_periods += 1
+            if n_periods % _FORGET_EVERY == 0:
+                intake.forget_old(now_ns=time.monotonic_ns())
+
+
+async def run_gateway(config: GatewayConfig) -> None:
+    """Run a gateway until SIGTERM or SIGINT; a second signal ends the process at once."""
+    service = Service(config)
+    loop = asyncio.get_running_loop()
+
+    def on_signal(number: signal.Signals) -> None:
+        loop.remove_signal_handler(number)  # the next one has its default effect
+        service.stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, on_signal, number)
+    await service.run()

@@ -1,0 +1,178 @@
+"""A dongle on a serial port, driven without threads: the file descriptor is watched by the event loop."""
+
+import asyncio
+import contextlib
+import os
+import termios
+from dataclasses import dataclass
+from pathlib import Path
+
+import serial
+from serial.tools import list_ports
+
+from gateway.errors import TransportClosedError, TransportOpenError
+
+_READ_SIZE = 4096
+_WRITE_TIMEOUT_S = 5.0
+_MAX_WAITING = 300
+"""Bytes that may wait in the driver before the next frame is written: about one frame of at most 255 bytes."""
+
+_BITS_PER_BYTE = 10  # start bit, eight data bits, stop bit
+_BY_ID = Path("/dev/serial/by-id")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SerialPortInfo:
+    """A serial port of this machine; ``by_id`` names it the same after unplugging."""
+
+    device: str
+    by_id: str | None
+    vid: int | None
+    pid: int | None
+    serial_number: str | None
+    description: str
+
+    @property
+    def spec(self) -> str:
+        """How to name the port on the command line."""
+        return f"serial:{self.by_id or self.device}"
+
+
+class SerialTransport:
+    """An open serial port; see ``open_serial``."""
+
+    def __init__(self, *, name: str, port: serial.Serial) -> None:
+        self._name = name
+        self._port = port
+        self._fd: int = port.fileno()
+        self._is_closed = False
+
+    @property
+    def name(self) -> str:
+        """What the port is called."""
+        return self._name
+
+    async def read(self) -> bytes:
+        """Return the next bytes; raise ``TransportClosedError`` when the device is unplugged."""
+        await self._ready(for_reading=True)
+        try:
+            chunk = os.read(self._fd, _READ_SIZE)
+        except OSError as error:
+            raise TransportClosedError(name=self._name, reason=f"unplugged ({error.strerror})") from error
+        if not chunk:  # ready, but nothing to read: the line hung up
+            raise TransportClosedError(name=self._name, reason="unplugged (hang-up)")
+        return chunk
+
+    async def write(self, data: bytes) -> None:
+        """Send ``data`` when at most about one frame waits before it."""
+        try:
+            async with asyncio.timeout(_WRITE_TIMEOUT_S):
+                await self._pace()
+                rest = memoryview(data)
+                while rest:
+                    self._check_open()
+                    try:
+                        rest = rest[os.write(self._fd, rest) :]
+                    except BlockingIOError:
+                        await self._ready(for_reading=False)
+        except TimeoutError as error:
+            raise TransportClosedError(name=self._name, reason=f"took nothing for {_WRITE_TIMEOUT_S:g} s") from error
+        except OSError as error:
+            raise TransportClosedError(name=self._name, reason=f"unplugged ({error.strerror})") from error
+
+    async def aclose(self) -> None:
+        """Close the port; bytes that the driver still holds are dropped, so that closing never hangs on a stalled line."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(self._fd)
+        loop.remove_writer(self._fd)
+        # An unplugged device raises here; its buffers are gone with it.
+        with contextlib.suppress(OSError, termios.error):
+            termios.tcflush(self._fd, termios.TCIOFLUSH)
+        with contextlib.suppress(OSError, termios.error):
+            self._port.close()
+
+    def _check_open(self) -> None:
+        if self._is_closed:
+            raise TransportClosedError(name=self._name, reason="closed by this side")
+
+    async def _ready(self, *, for_reading: bool) -> None:
+        self._check_open()
+        loop = asyncio.get_running_loop()
+        ready = loop.create_future()
+
+        def wake() -> None:
+            if not ready.done():
+                ready.set_result(None)
+
+        add, remove = (loop.add_reader, loop.remove_reader) if for_reading else (loop.add_writer, loop.remove_writer)
+        add(self._fd, wake)
+        try:
+            await ready
+        finally:
+            if not self._is_closed:
+                remove(self._fd)
+        self._check_open()
+
+    async def _pace(self) -> None:
+        while (waiting := self._n_waiting()) > _MAX_WAITING:
+            await asyncio.sleep((waiting - _MAX_WAITING) * _BITS_PER_BYTE / self._port.baudrate)
+            self._check_open()
+
+    def _n_waiting(self) -> int:
+        try:
+            return self._port.out_waiting
+        except OSError as error:
+            if error.errno is not None and error.errno in {25, 22}:  # ENOTTY, EINVAL: the device does not tell
+                return 0
+            raise
+
+
+async def open_serial(*, path: str, baud: int) -> SerialTransport:
+    """Open a serial port for this process alone: 8 data bits, no parity, one stop bit, no flow control.
+
+    Raises
+    ------
+    TransportOpenError
+        There is no such port, it may not be opened, or another process has it.
+    """
+    name = f"serial:{path}"
+    try:
+        port = await asyncio.to_thread(_open_blocking, path, baud)
+    except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError; ptys raise the bare ones
+        raise TransportOpenError(name=name, reason=_explain(error, path)) from error
+    return SerialTransport(name=name, port=port)
+
+
+def list_serial_ports() -> list[SerialPortInfo]:
+    """Return the serial ports of this machine, those with a by-id link first."""
+    by_id = {str(link.resolve()): str(link) for link in sorted(_BY_ID.iterdir())} if _BY_ID.is_dir() else {}
+    ports = [
+        SerialPortInfo(
+            device=port.device,
+            by_id=by_id.get(str(Path(port.device).resolve())),
+            vid=port.vid,
+            pid=port.pid,
+            serial_number=port.serial_number,
+            description=port.description,
+        )
+        for port in list_ports.comports()
+    ]
+    return sorted(ports, key=lambda port: (port.by_id is None, port.vid is None, port.device))
+
+
+def _open_blocking(path: str, baud: int) -> serial.Serial:
+    return serial.Serial(port=path, baudrate=baud, timeout=0, write_timeout=0, exclusive=True)
+
+
+def _explain(error: Exception, path: str) -> str:
+    number = getattr(error, "errno", None)
+    if number == 2:
+        return f"there is no {path}; `biobot-gateway list-ports` shows what there is"
+    if number == 13:
+        return f"{path} may not be opened by this user; join the group that owns it, often `dialout`"
+    if number in {11, 16}:
+        return f"{path} is in use by another process"
+    return str(error)

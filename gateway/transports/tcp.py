@@ -1,0 +1,85 @@
+"""A radio behind a TCP port: a serial server, a network dongle, a simulator."""
+
+import asyncio
+import socket
+
+from gateway.errors import TransportClosedError, TransportOpenError
+
+_READ_SIZE = 4096
+_OPEN_TIMEOUT_S = 5.0
+_WRITE_TIMEOUT_S = 5.0
+_KEEPALIVE_IDLE_S = 15
+_KEEPALIVE_INTERVAL_S = 5
+_KEEPALIVE_PROBES = 3
+_NOT_SENT_LIMIT = 512
+"""Bytes that may wait unsent in the kernel: two frames of at most 253 bytes and their delimiters."""
+
+
+class TcpTransport:
+    """A connected TCP socket; see ``open_tcp``."""
+
+    def __init__(self, *, name: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._name = name
+        self._reader = reader
+        self._writer = writer
+
+    @property
+    def name(self) -> str:
+        """What the port is called."""
+        return self._name
+
+    async def read(self) -> bytes:
+        """Return the next bytes; raise ``TransportClosedError`` when the other end has gone."""
+        try:
+            chunk = await self._reader.read(_READ_SIZE)
+        except OSError as error:
+            raise TransportClosedError(name=self._name, reason=str(error)) from error
+        if not chunk:
+            raise TransportClosedError(name=self._name, reason="the other end closed the connection")
+        return chunk
+
+    async def write(self, data: bytes) -> None:
+        """Send ``data``; return when the kernel has it."""
+        try:
+            self._writer.write(data)
+            async with asyncio.timeout(_WRITE_TIMEOUT_S):
+                await self._writer.drain()
+        except TimeoutError as error:
+            raise TransportClosedError(name=self._name, reason=f"took nothing for {_WRITE_TIMEOUT_S:g} s") from error
+        except OSError as error:
+            raise TransportClosedError(name=self._name, reason=str(error)) from error
+
+    async def aclose(self) -> None:
+        """Close at once; unsent bytes are dropped."""
+        self._writer.transport.abort()
+
+
+async def open_tcp(*, host: str, port: int) -> TcpTransport:
+    """Connect to ``host:port``.
+
+    Raises
+    ------
+    TransportOpenError
+        No connection within 5 s.
+    """
+    name = f"tcp:{host}:{port}"
+    try:
+        async with asyncio.timeout(_OPEN_TIMEOUT_S):
+            reader, writer = await asyncio.open_connection(host, port, limit=2 * _READ_SIZE)
+    except TimeoutError as error:
+        raise TransportOpenError(name=name, reason=f"no answer within {_OPEN_TIMEOUT_S:g} s") from error
+    except OSError as error:
+        raise TransportOpenError(name=name, reason=str(error)) from error
+    writer.transport.set_write_buffer_limits(high=0)
+    connection = writer.get_extra_info("socket")
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in (
+        ("TCP_KEEPIDLE", _KEEPALIVE_IDLE_S),
+        ("TCP_KEEPINTVL", _KEEPALIVE_INTERVAL_S),
+        ("TCP_KEEPCNT", _KEEPALIVE_PROBES),
+        ("TCP_NOTSENT_LOWAT", _NOT_SENT_LIMIT),
+    ):
+        if hasattr(socket, option):  # they are Linux's names; elsewhere the system's defaults hold
+            connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+    return TcpTransport(name=name, reader=reader, writer=writer)

@@ -1,0 +1,126 @@
+"""The command line as a user meets it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.gateway.harness import free_port
+
+_ROOT = Path(__file__).parents[2]
+
+
+def _gateway(*arguments: str, cwd: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "gateway", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(_ROOT), **(env or {})},
+        timeout=60,
+        check=False,
+    )
+
+
+def test_help_fits_one_screen_and_version_is_told(tmp_path: Path) -> None:
+    for arguments in (["--help"], ["run", "--help"], ["list-ports", "--help"], ["command", "--help"]):
+        result = _gateway(*arguments, cwd=tmp_path)
+        assert result.returncode == 0
+        assert len(result.stdout.splitlines()) <= 50
+    assert _gateway("--version", cwd=tmp_path).stdout.startswith("biobot-gateway ")
+
+
+def test_flags_win_over_the_environment_and_that_over_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "gateway.toml"
+    file.write_text('name = "from_file"\nsite = "from_file"\njournal = "f.sqlite"\n[stimulation]\nmin_gap_s = 4.0\n')
+    result = _gateway(
+        "run",
+        "--config",
+        str(file),
+        "--port",
+        "tcp:127.0.0.1:1",
+        "--name",
+        "from_flag",
+        "--check-config",
+        cwd=tmp_path,
+        env={"BIOBOT_GATEWAY__SITE": "from_env", "BIOBOT_GATEWAY__NAME": "from_env"},
+    )
+    assert result.returncode == 0, result.stderr
+    config = json.loads(result.stdout)
+    assert (config["name"], config["site"], config["journal"]) == ("from_flag", "from_env", "f.sqlite")
+    assert config["stimulation"]["min_gap_s"] == 4.0
+    assert list(tmp_path.iterdir()) == [file], "checking makes nothing"
+
+
+@pytest.mark.parametrize(
+    ("toml", "arguments", "word"),
+    [
+        ("nmae = 'x'\n", [], "unknown key 'nmae'"),
+        ("[stimulation]\nmin_gap_s = 0.5\n", [], "min_gap_s"),
+        ("[stimulation]\nmax_trains = 31\n", [], "max_trains"),
+        ("[stimulation]\npulse_width_us = 9000\nfrequency_hz = 100\n", [], "two phases must fit"),
+        ("name = 'a/b'\n", [], "a gateway name has"),
+        ("", ["--port", "can:can0"], "not in this version"),
+        ("", ["--port", "tcp:127.0.0.1:1"], "is named twice"),
+        ("name = ", [], "not valid TOML"),
+    ],
+)
+def test_a_wrong_configuration_is_told_and_is_exit_2(tmp_path: Path, toml: str, arguments: list[str], word: str) -> None:
+    file = tmp_path / "gateway.toml"
+    file.write_text(toml)
+    result = _gateway("run", "--config", str(file), "--port", "tcp:127.0.0.1:1", *arguments, "--check-config", cwd=tmp_path)
+    assert result.returncode == 2
+    assert word in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_no_port_a_missing_file_and_bad_usage_are_exit_2(tmp_path: Path) -> None:
+    for arguments, word in (
+        (["run"], "no radio"),
+        (["run", "--config", "nowhere.toml"], "nowhere.toml"),
+        (["fly"], "invalid choice"),
+        (["command", "7", "jump"], "invalid choice"),
+        (["command", "-7", "stop"], "node"),
+        (["command", "7", "stop", "--ttl-ms", "0"], "ttl_ms"),
+    ):
+        result = _gateway(*arguments, cwd=tmp_path)
+        assert (result.returncode, "Traceback" in result.stderr) == (2, False), result.stderr
+        assert word in result.stderr
+
+
+def test_a_journal_that_cannot_be_used_and_a_gateway_that_is_not_there_are_exit_1(tmp_path: Path) -> None:
+    (tmp_path / "text").write_text("no database" * 100)
+    result = _gateway("run", "--port", "tcp:127.0.0.1:1", "--journal", "text", cwd=tmp_path)
+    assert (result.returncode, "Traceback" in result.stderr) == (1, False)
+    assert "journal text: is no journal" in result.stderr
+    result = _gateway("command", "7", "stop", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path)
+    assert (result.returncode, "Traceback" in result.stderr) == (1, False)
+    assert "no gateway is alive" in result.stderr
+
+
+def test_a_gateway_with_no_dongle_runs_answers_and_stops_on_sigterm(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with subprocess.Popen(
+        [sys.executable, "-m", "gateway", "run", "--port", "serial:/dev/not-there", "--listen", endpoint],
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(_ROOT)},
+    ) as gateway:
+        assert gateway.stderr is not None
+        lines = [json.loads(gateway.stderr.readline()) for _ in range(2)]
+        assert [line["event"] for line in lines] == ["gateway.started", "radio.down"]
+        assert "list-ports" in lines[1]["reason"]
+        result = _gateway("command", "7", "stop", "--connect", endpoint, cwd=tmp_path)
+        assert result.returncode == 1
+        (stage,) = map(json.loads, result.stdout.splitlines())
+        assert (stage["stage"], stage["node"]) == ("refused", 7)
+        gateway.send_signal(signal.SIGTERM)
+        rest = gateway.stderr.read()
+        assert gateway.wait(timeout=20) == 0
+    assert "gateway.stopped" in rest
+    assert "Traceback" not in rest

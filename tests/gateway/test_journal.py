@@ -1,0 +1,191 @@
+"""Laws of the journal, on real files."""
+
+import asyncio
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.contract.records import MissionPhase, MissionRecord
+from firmware_protocol.units import BootId, Nanoseconds, NodeId
+from gateway.errors import JournalUnfitError
+from gateway.health import Health
+from gateway.journal import Journal
+from gateway.journal_file import JournalWrite, UplinkReport
+from tests.gateway.fake_radio import until
+
+_CHILD = """
+import asyncio, sys
+from pathlib import Path
+from gateway.health import Health
+from gateway.journal import Journal
+from tests.gateway.test_journal import a_write
+
+async def story() -> None:
+    journal = Journal.open(Path(sys.argv[1]), health=Health())
+    running = asyncio.ensure_future(journal.run())
+    number = 0
+    while True:
+        futures = [journal.append(a_write(journal, number + k)) for k in range(7)]
+        number += 7
+        for future in futures:
+            await future
+        print(number, flush=True)
+
+asyncio.run(story())
+"""
+
+
+def a_write(journal: Journal, number: int) -> JournalWrite:
+    record = MissionRecord(
+        gateway="base1",
+        journal=journal.journal_id,
+        offset=1,
+        boot=journal.boot,
+        sequence=number,
+        revision=0,
+        wall_anchor_ns=Nanoseconds(0),
+        phase=MissionPhase.IDLE,
+        t_start_ns=Nanoseconds(number),
+    )
+    report = UplinkReport(
+        node=NodeId(1),
+        boot=BootId(1),
+        number=number,
+        next_number=number + 1,
+        received_wall_ns=number,
+        radio="r",
+        address=1,
+        rssi_dbm=-1,
+        lqi=1,
+        payload=b"x",
+    )
+    return JournalWrite(records=(record,), report=report)
+
+
+def _with_journal(path: Path, story: Callable[[Journal], Awaitable[None]]) -> None:
+    async def run() -> None:
+        journal = Journal.open(path, health=Health())
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                running = tasks.create_task(journal.run())
+                await story(journal)
+                running.cancel()
+        finally:
+            journal.close()
+
+    asyncio.run(run())
+
+
+def test_offsets_have_no_gaps_over_restarts_and_boots_grow(tmp_path: Path) -> None:
+    boots: list[int] = []
+    names: set[str] = set()
+
+    async def story(journal: Journal) -> None:
+        boots.append(journal.boot)
+        names.add(journal.journal_id)
+        for number in range(300):
+            done = journal.append(a_write(journal, 1000 * len(boots) + number))
+        await done
+        reader = journal.reader()
+        records, head_offset = reader.read_records(from_offset=1, limit=10_000)
+        reader.close()
+        assert [record.offset for record in records] == list(range(1, 300 * len(boots) + 1))
+        assert head_offset == journal.head_offset == 300 * len(boots)
+
+    for _ in range(3):
+        _with_journal(tmp_path / "j", story)
+    assert boots == sorted(set(boots))
+    assert len(names) == 1
+
+
+def test_listeners_hear_of_records_after_the_disk_has_them_and_before_the_future_resolves(tmp_path: Path) -> None:
+    async def story(journal: Journal) -> None:
+        heard: list[int] = []
+        reader = journal.reader()
+
+        def listen(records: tuple[object, ...], head_offset: int) -> None:
+            assert reader.read_records(from_offset=1, limit=100)[1] == head_offset
+            heard.append(len(records))
+
+        journal.listen(listen)
+        for number in range(20):
+            await journal.append(a_write(journal, number))
+            assert sum(heard) == number + 1
+        reader.close()
+
+    _with_journal(tmp_path / "j", story)
+
+
+def test_what_was_promised_is_there_after_a_kill(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    for _ in range(3):
+        with subprocess.Popen(
+            [sys.executable, "-c", _CHILD, str(path)], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2], env={**os.environ}
+        ) as child:
+            assert child.stdout is not None
+            promised = 0
+            while promised < 150:
+                promised = int(child.stdout.readline())
+            child.send_signal(signal.SIGKILL)
+            promised = max([promised, *(int(line) for line in child.stdout.read().splitlines()[:-1] if line)])
+        with sqlite3.connect(path) as database:
+            (latest_boot,) = database.execute("SELECT max(boot) FROM entries").fetchone()
+            numbers = [number for (number,) in database.execute("SELECT sequence FROM entries WHERE boot = ?", (latest_boot,))]
+            offsets = [offset for (offset,) in database.execute("SELECT offset FROM entries ORDER BY offset")]
+            database.execute("DELETE FROM reports")  # the next child counts its reports from 0 again
+        database.close()
+        assert set(range(promised)) <= set(numbers)
+        assert offsets == list(range(1, len(offsets) + 1))
+
+
+def test_a_full_disk_delays_and_is_told_when_it_begins_and_ends(tmp_path: Path) -> None:
+    async def story(journal: Journal) -> None:
+        faults: list[str | None] = []
+        journal.listen_for_fault(faults.append)
+        await journal.append(a_write(journal, 0))
+        connection = journal._file._connection
+        (n_pages,) = connection.execute("PRAGMA page_count").fetchone()
+        connection.execute(f"PRAGMA max_page_count = {n_pages}")
+        futures = [journal.append(a_write(journal, 1 + number)) for number in range(2000)]
+        await until(lambda: bool(faults), what="the disk is full")
+        assert not futures[-1].done()
+        connection.execute("PRAGMA max_page_count = 1000000")
+        await futures[-1]
+        assert faults[0] is not None
+        assert "full" in faults[0]
+        assert faults[1:] == [None]
+        assert journal.head_offset == 2001
+
+    _with_journal(tmp_path / "j", story)
+
+
+def test_a_file_that_is_no_journal_is_refused_and_left_alone(tmp_path: Path) -> None:
+    text = tmp_path / "text"
+    text.write_text("not a database at all, but long enough to look at" * 20)
+    foreign = tmp_path / "foreign"
+    with sqlite3.connect(foreign) as database:
+        database.execute("CREATE TABLE t (a)")
+    database.close()
+    newer = tmp_path / "newer"
+    _with_journal(newer, lambda journal: journal.append(a_write(journal, 0)))
+    with sqlite3.connect(newer) as database:
+        database.execute("PRAGMA user_version = 99")
+    database.close()
+    for path, word in (
+        (text, "no journal"),
+        (foreign, "another program"),
+        (newer, "version 99"),
+        (tmp_path, "directory"),
+        (tmp_path / "missing" / "j", "cannot be written"),
+    ):
+        before = path.read_bytes() if path.is_file() else None
+        with pytest.raises(JournalUnfitError, match=word) as caught:
+            Journal.open(path, health=Health())
+        assert str(path) in str(caught.value)
+        assert before is None or path.read_bytes() == before

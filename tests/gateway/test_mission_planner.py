@@ -1,0 +1,69 @@
+"""Laws of the mission's state machine."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.contract.records import MissionPhase
+from firmware_protocol.landmarks import select_landmarks
+from firmware_protocol.units import NS_PER_S, NodeId
+from gateway.config import MissionTable
+from gateway.mission import EnterPhase, MakeLandmark, MissionPlanner, MissionStep
+
+_ALL = {NodeId(node) for node in range(1, 11)}
+_ROW = {node: frozenset({NodeId(node - 1), NodeId(node + 1)}) & frozenset(_ALL) for node in _ALL}
+
+
+def _picks(steps: list[MissionStep]) -> list[NodeId]:
+    return [step.node for step in steps if isinstance(step, MakeLandmark)]
+
+
+def _begin(planner: MissionPlanner) -> list[MissionStep]:
+    """Through dispersion; returns the first selection's steps."""
+    planner.tick(now_ns=0, known=_ALL, adjacency=_ROW)
+    planner.tick(now_ns=61 * NS_PER_S, known=_ALL, adjacency=_ROW)
+    assert planner.phase is MissionPhase.LANDMARK_SELECTION
+    return planner.tick(now_ns=61 * NS_PER_S, known=_ALL, adjacency=_ROW)
+
+
+def test_nothing_happens_before_a_biobot_is_heard() -> None:
+    planner = MissionPlanner(config=MissionTable())
+    assert planner.tick(now_ns=10**12, known=set(), adjacency={}) == []
+    assert planner.phase is MissionPhase.IDLE
+
+
+def test_the_landmarks_are_those_of_the_rule() -> None:
+    planner = MissionPlanner(config=MissionTable(n_landmarks=4))
+    assert _picks(_begin(planner)) == list(select_landmarks({int(node): heard for node, heard in _ROW.items()}, count=4))
+
+
+@given(st.sets(st.sampled_from(sorted(_ALL))))
+def test_exploration_begins_when_each_landmark_stands_or_no_candidate_is_left(unreachable: set[NodeId]) -> None:
+    planner = MissionPlanner(config=MissionTable(n_landmarks=3))
+    waiting = _picks(_begin(planner))
+    asked = set(waiting)
+    while waiting:
+        assert planner.tick(now_ns=62 * NS_PER_S, known=_ALL, adjacency=_ROW) == []
+        node = waiting.pop()
+        steps = planner.settle(node, is_standing=node not in unreachable)
+        assert not asked & set(_picks(steps)), "nobody is asked twice"
+        waiting += _picks(steps)
+        asked |= set(waiting)
+    (step,) = planner.tick(now_ns=63 * NS_PER_S, known=_ALL, adjacency=_ROW)
+    assert isinstance(step, EnterPhase)
+    assert step.phase is MissionPhase.EXPLORATION
+    assert set(step.landmarks) == asked - unreachable
+    assert len(step.landmarks) == min(3, len(_ALL - unreachable))
+
+
+def test_selection_waits_for_neighbour_reports_but_not_for_ever() -> None:
+    planner = MissionPlanner(config=MissionTable(selection_timeout_s=30, n_landmarks=2))
+    some = {node: heard for node, heard in _ROW.items() if node <= 4}
+    planner.tick(now_ns=0, known=_ALL, adjacency=some)
+    planner.tick(now_ns=60 * NS_PER_S, known=_ALL, adjacency=some)
+    assert planner.tick(now_ns=80 * NS_PER_S, known=_ALL, adjacency=some) == []
+    assert set(_picks(planner.tick(now_ns=91 * NS_PER_S, known=_ALL, adjacency=some))) == {1, 4}
+
+
+def test_the_share_counts_all_that_were_heard() -> None:
+    planner = MissionPlanner(config=MissionTable(landmark_share=0.3))
+    assert len(_picks(_begin(planner))) == 3

@@ -1,0 +1,169 @@
+"""Laws of the transports, on real ptys and sockets."""
+
+import asyncio
+import os
+import socket
+import tty
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+
+from gateway.errors import TransportClosedError, TransportOpenError, TransportSpecError
+from gateway.transports.interface import Transport
+from gateway.transports.memory import connected_pair
+from gateway.transports.serial_port import list_serial_ports, open_serial
+from gateway.transports.spec import SerialSpec, TcpSpec, open_transport, parse_port_spec
+from gateway.transports.tcp import open_tcp
+
+
+@asynccontextmanager
+async def _serial_pair() -> AsyncIterator[tuple[Transport, int, str]]:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    path = os.ttyname(slave)
+    os.close(slave)
+    transport = await open_serial(path=path, baud=115_200)
+    try:
+        yield transport, master, path
+    finally:
+        await transport.aclose()
+        os.close(master)
+
+
+async def _read(transport: Transport, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        data += await transport.read()
+    return data
+
+
+def test_all_bytes_pass_a_serial_port_both_ways() -> None:
+    async def story() -> None:
+        everything = bytes(range(256)) * 64
+        async with _serial_pair() as (transport, master, _):
+            reading = asyncio.ensure_future(_read(transport, 3000))
+            assert await asyncio.to_thread(os.write, master, everything[:3000]) == 3000
+            assert await reading == everything[:3000]
+            sending = asyncio.ensure_future(transport.write(everything))
+            received = b""
+            while len(received) < len(everything):
+                received += await asyncio.to_thread(os.read, master, 4096)
+            await sending
+            assert received == everything
+
+    asyncio.run(story())
+
+
+def test_an_unplugged_serial_port_ends_reading_and_writing() -> None:
+    async def story() -> None:
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        transport = await open_serial(path=os.ttyname(slave), baud=9600)
+        os.close(slave)
+        reading = asyncio.ensure_future(transport.read())
+        await asyncio.sleep(0)
+        os.close(master)
+        with pytest.raises(TransportClosedError, match="unplugged"):
+            await reading
+        with pytest.raises(TransportClosedError):
+            await transport.write(b"x")
+        await transport.aclose()
+        await transport.aclose()
+        with pytest.raises(TransportClosedError):
+            await transport.read()
+
+    asyncio.run(story())
+
+
+def test_a_serial_port_is_opened_once_and_what_is_wrong_is_told() -> None:
+    async def story() -> None:
+        async with _serial_pair() as (_, _, path):
+            with pytest.raises(TransportOpenError, match="in use by another process"):
+                await open_serial(path=path, baud=115_200)
+        with pytest.raises(TransportOpenError, match="there is no /dev/not-there"):
+            await open_serial(path="/dev/not-there", baud=115_200)
+
+    asyncio.run(story())
+
+
+def test_tcp_passes_bytes_and_ends_when_the_other_end_does() -> None:
+    async def story() -> None:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            transport = await open_tcp(host="127.0.0.1", port=server.getsockname()[1])
+            peer, _ = server.accept()
+            await transport.write(b"hello")
+            assert peer.recv(100) == b"hello"
+            peer.sendall(b"world")
+            assert await transport.read() == b"world"
+            peer.close()
+            with pytest.raises(TransportClosedError):
+                await transport.read()
+            await transport.aclose()
+            port = server.getsockname()[1]
+        with pytest.raises(TransportOpenError):
+            await open_tcp(host="127.0.0.1", port=port)
+
+    asyncio.run(story())
+
+
+def test_the_memory_pair_passes_bytes_and_closes_both_ends() -> None:
+    async def story() -> None:
+        one, other = connected_pair()
+        await one.write(b"a")
+        await one.write(b"b")
+        assert await _read(other, 2) == b"ab"
+        await other.write(b"last")
+        await other.aclose()
+        assert await one.read() == b"last"
+        with pytest.raises(TransportClosedError):
+            await one.read()
+        with pytest.raises(TransportClosedError):
+            await one.write(b"x")
+
+    asyncio.run(story())
+
+
+def test_port_names_mean_what_they_say() -> None:
+    assert parse_port_spec("serial:/dev/ttyACM0") == SerialSpec(path="/dev/ttyACM0", baud=115_200)
+    assert parse_port_spec("serial:/dev/serial/by-id/usb-TI_CC2531-if00?baud=9600").name == "serial:/dev/serial/by-id/usb-TI_CC2531-if00"
+    assert parse_port_spec("tcp:example.org:6638") == TcpSpec(host="example.org", port=6638)
+    assert parse_port_spec("tcp:[::1]:6638") == TcpSpec(host="::1", port=6638)
+
+
+@pytest.mark.parametrize(
+    ("spec", "reason"),
+    [
+        ("/dev/ttyACM0", "names no kind of port"),
+        ("usb:0", "unknown kind 'usb'"),
+        ("can:can0", "not in this version"),
+        ("serial:", "names no device"),
+        ("serial:/dev/x?baud=fast", "baud is 'fast'"),
+        ("serial:/dev/x?baud=0", "baud is '0'"),
+        ("serial:/dev/x?parity=E", "unknown option 'parity'"),
+        ("serial:/dev/x?baud", "not of the form"),
+        ("tcp:host", "must be tcp:HOST:PORT"),
+        ("tcp::80", "must be tcp:HOST:PORT"),
+        ("tcp:host:99999", "the port is '99999'"),
+        ("", "names no kind of port"),
+    ],
+)
+def test_a_wrong_port_name_is_refused_with_reason_and_examples(spec: str, reason: str) -> None:
+    with pytest.raises(TransportSpecError, match="examples: serial:/dev/ttyACM0") as caught:
+        parse_port_spec(spec)
+    assert reason in str(caught.value)
+
+
+def test_a_spec_opens_its_transport() -> None:
+    async def story() -> None:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            spec = parse_port_spec(f"tcp:127.0.0.1:{server.getsockname()[1]}")
+            transport = await open_transport(spec)
+            assert transport.name == spec.name
+            await transport.aclose()
+
+    asyncio.run(story())
+
+
+def test_listing_ports_never_fails() -> None:
+    assert all(port.spec.startswith("serial:/dev/") for port in list_serial_ports())
