@@ -7,6 +7,7 @@ import os
 import sys
 import time
 import uuid
+from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -25,40 +26,56 @@ from gateway.transports.spec import parse_port_spec
 
 _DONE, _FAILED, _USAGE = 0, 1, 2
 _COMMAND_TIMEOUT_S = 30.0
+_STATUS_TIMEOUT_S = 5.0
+_ENDPOINT = "tcp/127.0.0.1:7447"
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     options = _parser().parse_args(arguments)
     try:
-        if options.command == "run":
-            return _run(options)
-        if options.command == "list-ports":
-            return _list_ports(is_json=options.json)
-        return _command(options)
+        status = _COMMANDS[options.command](options)
+        sys.stdout.flush()
     except ConfigurationError as error:
-        for problem in error.problems:
-            _complain(problem)
-        return _USAGE
+        return _complain(*error.problems, status=_USAGE)
     except (TransportSpecError, KeyExpressionError) as error:
-        _complain(str(error))
-        return _USAGE
+        return _complain(str(error), status=_USAGE)
     except (GatewayError, ProtocolError) as error:
-        _complain(str(error))
+        return _complain(str(error), status=_FAILED)
+    except BrokenPipeError:
+        # Whoever read our output is gone; keep the interpreter from complaining about it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _FAILED
     except KeyboardInterrupt:
         return _FAILED
+    return status
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="biobot-gateway", description="Base station of a biobot network: radios in, Zenoh out.")
     parser.add_argument("--version", action="version", version=f"biobot-gateway {version('biobot-gateway')}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_config(parser, default=None)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     _add_run(commands.add_parser("run", help="run the gateway"))
     ports = commands.add_parser("list-ports", help="list the serial ports of this machine, those with a by-id link first")
     ports.add_argument("--json", action="store_true", help="as JSON")
     _add_command(commands.add_parser("command", help="command a biobot through a running gateway"))
+    status = commands.add_parser("status", help="print what a running gateway says of itself; exit status 1 where none does")
+    _add_bus(status)
     return parser
+
+
+def _add_config(parser: argparse.ArgumentParser, *, default: object) -> None:
+    help_text = "TOML file; BIOBOT_GATEWAY__... variables and flags win over it"
+    parser.add_argument("--config", type=Path, metavar="FILE", default=default, help=help_text)
+    help_text = "print the configuration that would be used, and leave"
+    parser.add_argument("--check-config", action="store_true", default=default or False, help=help_text)
+
+
+def _add_bus(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--gateway", help="its name; needed where a site has several")
+    parser.add_argument("--site", default="local", help="name of the site (default: local)")
+    parser.add_argument("--connect", action="append", metavar="EP", help=f"Zenoh endpoint (default: {_ENDPOINT})")
 
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
@@ -76,19 +93,37 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--landmark-share", type=float, metavar="X", help="that share (default: 0.15)")
     parser.add_argument("--exploration-s", type=float, metavar="S", help="how long exploration lasts (default: until stopped)")
     parser.add_argument("--log-level", choices=["DEBUG", "INFO", "WARNING", "ERROR"])
-    parser.add_argument("--config", type=Path, metavar="FILE", help="TOML file; BIOBOT_GATEWAY__... variables and flags win over it")
-    parser.add_argument("--check-config", action="store_true", help="print the configuration that would be used, and leave")
+    # SUPPRESS: what was given before the word "run" stays when it is not given again after it.
+    _add_config(parser, default=argparse.SUPPRESS)
 
 
 def _add_command(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("node", type=int, metavar="NODE", help="number of the biobot")
     parser.add_argument("action", choices=[action.value for action in StimulationAction])
-    parser.add_argument("--gateway", help="its name; needed where a site has several")
-    parser.add_argument("--site", default="local", help="name of the site (default: local)")
-    parser.add_argument("--connect", action="append", metavar="EP", help="Zenoh endpoint (default: tcp/127.0.0.1:7447)")
+    _add_bus(parser)
     parser.add_argument("--operator", default=os.environ.get("USER") or "operator", help="who commands; it is journaled")
     parser.add_argument("--hold-ms", type=int, default=0, metavar="MS", help="controlled motion ends by itself after this; 0: never")
     parser.add_argument("--ttl-ms", type=int, default=5000, metavar="MS", help="the command is void after this (default: 5000)")
+
+
+def _check_alone(options: argparse.Namespace) -> int:
+    if not options.check_config:
+        raise ConfigurationError(["no command: give run, list-ports, command or status; see biobot-gateway --help"])
+    config = load_gateway_config(toml_path=options.config, environment=os.environ, flags={})
+    print(json.dumps(msgspec.to_builtins(config), indent=2))
+    return _DONE
+
+
+def _status(options: argparse.Namespace) -> int:
+    from gateway.bus import read_status  # noqa: PLC0415  # Zenoh loads 33 MB, which --help does not need
+
+    check_name(options.site, what="site")
+    status = read_status(site=options.site, gateway=options.gateway, connect=options.connect or [_ENDPOINT], timeout_s=_STATUS_TIMEOUT_S)
+    if status is None:
+        _complain(f"no gateway has told its status within {_STATUS_TIMEOUT_S:g} s; is it running, and are --site and --connect its own?")
+        return _FAILED
+    print(json.dumps(msgspec.to_builtins(status), indent=2))
+    return _DONE
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -140,9 +175,9 @@ def _check_ports(config: GatewayConfig) -> None:
         raise ConfigurationError(problems)
 
 
-def _list_ports(*, is_json: bool) -> int:
+def _list_ports(options: argparse.Namespace) -> int:
     ports = list_serial_ports()
-    if is_json:
+    if options.json:
         print(json.dumps([asdict(port) | {"spec": port.spec} for port in ports], indent=2))
         return _DONE
     for port in ports:
@@ -173,7 +208,7 @@ def _command(options: argparse.Namespace) -> int:
     except msgspec.ValidationError as error:
         raise ConfigurationError([f"command: {error}"]) from error
     outcome: Stage | None = None
-    connect = options.connect or ["tcp/127.0.0.1:7447"]
+    connect = options.connect or [_ENDPOINT]
     for stage in send_command(request, site=options.site, gateway=options.gateway, connect=connect, timeout_s=_COMMAND_TIMEOUT_S):
         outcome = stage.stage
         print(json.dumps(msgspec.to_builtins(stage)), flush=True)
@@ -182,8 +217,19 @@ def _command(options: argparse.Namespace) -> int:
     return _DONE if outcome is Stage.BIOBOT_CONFIRMED else _FAILED
 
 
-def _complain(text: str) -> None:
-    print(f"biobot-gateway: {text}", file=sys.stderr)
+def _complain(*lines: str, status: int = _DONE) -> int:
+    for line in lines:
+        print(f"biobot-gateway: {line}", file=sys.stderr)
+    return status
+
+
+_COMMANDS: dict[str | None, Callable[[argparse.Namespace], int]] = {
+    None: _check_alone,
+    "run": _run,
+    "list-ports": _list_ports,
+    "command": _command,
+    "status": _status,
+}
 
 
 if __name__ == "__main__":

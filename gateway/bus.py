@@ -9,6 +9,7 @@ import asyncio
 import json
 import queue
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -54,6 +55,7 @@ _MAX_COMMANDS = 256
 _MAX_HISTORY_QUERIES = 16
 _HISTORY_PAGE = 500
 _DISCOVERY_S = 3.0
+_STATUS_POLL_S = 0.02
 
 _SETTINGS = {
     "mode": '"peer"',
@@ -312,6 +314,26 @@ def send_command(
                 yield decode_record(reply.ok.payload.to_bytes(), CommandStage)
             elif reply.err is not None:
                 raise CommandError(f"gateway {name} answers: {reply.err.payload.to_string()}")
+
+
+def read_status(*, site: str, gateway: str | None, connect: Sequence[str], timeout_s: float) -> GatewayStatus | None:
+    """Return the next status that a gateway publishes, or None where none does in time; for the command line.
+
+    Raises
+    ------
+    BusError
+        ``connect`` is no endpoint.
+    """
+    with _open_session(listen=(), connect=connect) as session:
+        channel: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
+        with session.declare_subscriber(build_key(site=site, stream=Stream.STATUS, gateway=gateway or ANY), channel) as subscriber:
+            deadline = time.monotonic() + timeout_s
+            while time.monotonic() < deadline:
+                sample = subscriber.try_recv()
+                if sample is not None:
+                    return decode_record(sample.payload.to_bytes(), GatewayStatus)
+                time.sleep(_STATUS_POLL_S)
+    return None
 
 
 def _find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, connect: Sequence[str]) -> str:

@@ -150,6 +150,13 @@ class JournalReader:
         records = self._newest("kind = 'mode' AND node_a IS NULL", limit)
         return [record for record in records if isinstance(record, ModeRecord)]
 
+    def read_last_mission(self) -> MissionRecord | None:
+        """Return the phase that began last, or None where no mission has run."""
+        for record in self._newest("kind = 'mission' AND node_a IS NULL", 1):
+            if isinstance(record, MissionRecord):
+                return record
+        return None
+
     def read_pair(self, *, node_a: NodeId, node_b: NodeId, from_wall_ns: int, to_wall_ns: int) -> list[EncounterRecord]:
         """Return all revisions of a pair's encounters that overlap a time, in the order of their offsets.
 

@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from firmware_protocol.contract.records import (
+    Cause,
     CommandStage,
     MissionPhase,
     MissionRecord,
+    Mode,
     Stage,
     StimulationAction,
     StimulationRequest,
@@ -24,7 +26,7 @@ from gateway.config import MissionTable
 from gateway.health import Health
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
-from gateway.journal_file import JournalWrite
+from gateway.journal_file import JournalReader, JournalWrite
 from gateway.log import EventLog
 from gateway.nodes import NodeBook
 from gateway.stimulation import StimulationGate
@@ -33,6 +35,7 @@ _log = EventLog(__name__)
 
 _TICK_S = 0.1
 _OPERATOR = "mission"
+_RESTORED_MODES = 10_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +72,16 @@ class MissionPlanner:
     _adjacency: dict[int, frozenset[NodeId]] | None = None
     _awaited: set[NodeId] = field(default_factory=set)
     _failed: set[NodeId] = field(default_factory=set)
+
+    def resume(self, phase: MissionPhase, *, since_ns: int, standing: set[NodeId]) -> None:
+        """Go on with a mission that an earlier process had begun; one that was done is done, and the next one begins.
+
+        A selection that was under way is made again; it counts those biobots that already stand by command.
+        """
+        if phase in {MissionPhase.IDLE, MissionPhase.DONE}:
+            return
+        self.phase, self._since_ns = phase, since_ns
+        self.confirmed |= standing
 
     def tick(self, *, now_ns: int, known: set[NodeId], adjacency: Mapping[NodeId, frozenset[NodeId]]) -> list[MissionStep]:
         """Return what is to be done now.
@@ -116,9 +129,10 @@ class MissionPlanner:
             reported = adjacency or {node: frozenset[NodeId]() for node in known}
             self._adjacency = {int(node): heard for node, heard in reported.items()}
             wanted = self.config.n_landmarks or max(1, round(self.config.landmark_share * len(known)))
-            picks = select_landmarks(self._adjacency, count=min(wanted, len(self._adjacency)))
-            self._awaited = {NodeId(node) for node in picks}
-            return [MakeLandmark(node=NodeId(node)) for node in picks]
+            picks = [NodeId(node) for node in select_landmarks(self._adjacency, count=min(wanted, len(self._adjacency)))]
+            missing = [node for node in picks if node not in self.confirmed][: max(0, wanted - len(self.confirmed))]
+            self._awaited = set(missing)
+            return [MakeLandmark(node=node) for node in missing]
         if self._awaited:
             return []
         reason = f"{len(self.confirmed)} landmarks stand"
@@ -150,6 +164,7 @@ class Mission:
         config: MissionTable,
         issuer: RecordIssuer,
         journal: Journal,
+        reader: JournalReader,
         nodes: NodeBook,
         gate: StimulationGate,
         health: Health,
@@ -162,6 +177,20 @@ class Mission:
         self._gate = gate
         self._health = health
         self._wall_clock = wall_clock
+        self._resume(reader)
+
+    def _resume(self, reader: JournalReader) -> None:
+        last = reader.read_last_mission()
+        if last is None:
+            return
+        standing = set(last.landmarks)
+        if last.phase is MissionPhase.LANDMARK_SELECTION:
+            spells = {spell.node: spell for spell in reader.read_recent_modes(limit=_RESTORED_MODES)}
+            standing |= {node for node, spell in spells.items() if spell.mode is Mode.S and spell.cause is Cause.COMMAND}
+        since_ns = self._issuer.to_own_monotonic_ns(last.t_start_ns, anchor_ns=last.wall_anchor_ns)
+        self._planner.resume(last.phase, since_ns=since_ns, standing=standing)
+        if self._planner.phase is not MissionPhase.IDLE:
+            _log.info("mission.resumed", phase=last.phase.value, landmarks=len(standing))
 
     async def run(self) -> None:
         """Go through the phases, until cancelled."""

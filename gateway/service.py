@@ -134,7 +134,9 @@ class Service:
                 running.append(tasks.create_task(acknowledger.run()))
                 running.append(tasks.create_task(inquirer.run()))
                 if config.mission.is_enabled:
-                    mission = Mission(config=config.mission, issuer=issuer, journal=journal, nodes=nodes, gate=gate, health=health)
+                    mission = Mission(
+                        config=config.mission, issuer=issuer, journal=journal, reader=reader, nodes=nodes, gate=gate, health=health
+                    )
                     running.append(tasks.create_task(mission.run()))
                 running += [tasks.create_task(coordinator.run()) for coordinator in coordinators.values()]
                 _log.info("gateway.started", name=config.name, site=config.site, journal=journal.journal_id, boot=journal.boot)

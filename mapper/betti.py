@@ -61,6 +61,8 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float) 
     has_ratio = is_finite & (births > 0)
     ratio = np.divide(deaths, births, out=np.zeros(len(intervals)), where=has_ratio)
     match rule.kind:
+        case BettiRuleKind.CONNECTED:
+            is_real = np.zeros(len(intervals), dtype=bool)
         case BettiRuleKind.RATIO:
             is_real = (ratio > rule.tau) & (length > rule.delta)
         case BettiRuleKind.QUANTILE if is_finite.sum() < _MIN_FOR_QUANTILE:

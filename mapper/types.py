@@ -75,10 +75,15 @@ class ProfileNorm(StrEnum):
 
 
 class BettiRuleKind(StrEnum):
-    """How an interval is judged: against a quantile of all lengths (eq. 15 of [Dir16]), or by death over birth."""
+    """How an interval is judged.
+
+    Against a quantile of all lengths (eq. 15 of [Dir16]); by death over birth; or, in dimension 0, not at all: biobots walked
+    between all parts of a connected encounter graph, so those parts are one component, however far apart.
+    """
 
     QUANTILE = "quantile"
     RATIO = "ratio"
+    CONNECTED = "connected"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +91,7 @@ class BettiRule:
     """Which intervals of one dimension are real; lengths are shares of the metric's diameter.
 
     ``QUANTILE``: ``length / (r_q + delta) > tau``. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
+    ``CONNECTED``: no finite interval is real; no number is used.
     """
 
     kind: BettiRuleKind

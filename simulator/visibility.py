@@ -101,9 +101,11 @@ class Visibility:
         OutsideArenaError
             One lies outside, or is not finite.
         """
-        inside = np.asarray(shapely.intersects_xy(self._arena.polygon, points[:, 0], points[:, 1]))
-        distance = np.zeros(len(points))
-        distance[~inside] = shapely.distance(self._arena.polygon, shapely.points(points[~inside]))
+        is_finite = np.isfinite(points).all(axis=1)
+        distance = np.where(is_finite, 0.0, np.inf)
+        doubtful = np.flatnonzero(is_finite)
+        doubtful = doubtful[~shapely.intersects_xy(self._arena.polygon, points[doubtful, 0], points[doubtful, 1])]
+        distance[doubtful] = shapely.distance(self._arena.polygon, shapely.points(points[doubtful]))
         outside = np.flatnonzero(~(distance <= self.tolerance))
         if outside.size:
             row = int(outside[0])

@@ -27,7 +27,7 @@ def _gateway(*arguments: str, cwd: Path, env: dict[str, str] | None = None) -> s
 
 
 def test_help_fits_one_screen_and_version_is_told(tmp_path: Path) -> None:
-    for arguments in (["--help"], ["run", "--help"], ["list-ports", "--help"], ["command", "--help"]):
+    for arguments in (["--help"], ["run", "--help"], ["list-ports", "--help"], ["command", "--help"], ["status", "--help"]):
         result = _gateway(*arguments, cwd=tmp_path)
         assert result.returncode == 0
         assert len(result.stdout.splitlines()) <= 50
@@ -124,3 +124,46 @@ def test_a_gateway_with_no_dongle_runs_answers_and_stops_on_sigterm(tmp_path: Pa
         assert gateway.wait(timeout=20) == 0
     assert "gateway.stopped" in rest
     assert "Traceback" not in rest
+
+
+def test_a_configuration_can_be_checked_without_a_command(tmp_path: Path) -> None:
+    file = tmp_path / "gateway.toml"
+    file.write_text('site = "ruin"\n')
+
+    result = _gateway("--config", str(file), "--check-config", cwd=tmp_path)
+
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["site"] == "ruin"
+    file.write_text('sight = "ruin"\n')
+    result = _gateway("--config", str(file), "--check-config", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "sight" in result.stderr
+
+
+def test_no_command_is_bad_usage(tmp_path: Path) -> None:
+    result = _gateway(cwd=tmp_path)
+
+    assert result.returncode == 2
+    assert "list-ports" in result.stderr
+
+
+def test_the_status_of_a_gateway_that_is_not_there_fails_and_says_what_to_look_at(tmp_path: Path) -> None:
+    result = _gateway("status", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path)
+
+    assert result.returncode == 1
+    assert "--connect" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_the_status_of_a_running_gateway_is_printed(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "gateway", "run", "--port", "tcp:127.0.0.1:1", "--listen", endpoint, "--name", "base7"]
+    with subprocess.Popen(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(_ROOT)}, stderr=subprocess.DEVNULL) as gateway:
+        try:
+            result = _gateway("status", "--connect", endpoint, cwd=tmp_path)
+        finally:
+            gateway.send_signal(signal.SIGTERM)
+
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["gateway"] == "base7"
+    assert gateway.returncode == 0

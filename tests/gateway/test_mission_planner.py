@@ -67,3 +67,38 @@ def test_selection_waits_for_neighbour_reports_but_not_for_ever() -> None:
 def test_the_share_counts_all_that_were_heard() -> None:
     planner = MissionPlanner(config=MissionTable(landmark_share=0.3))
     assert len(_picks(_begin(planner))) == 3
+
+
+def test_a_resumed_exploration_chooses_no_new_landmarks_and_ends_when_it_would_have() -> None:
+    planner = MissionPlanner(config=MissionTable(exploration_s=100))
+    planner.resume(MissionPhase.EXPLORATION, since_ns=5 * NS_PER_S, standing={NodeId(1), NodeId(2)})
+
+    assert planner.tick(now_ns=104 * NS_PER_S, known=_ALL, adjacency=_ROW) == []
+    (step,) = planner.tick(now_ns=106 * NS_PER_S, known=_ALL, adjacency=_ROW)
+
+    assert isinstance(step, EnterPhase)
+    assert step.phase is MissionPhase.DONE
+    assert step.landmarks == (NodeId(1), NodeId(2))
+
+
+def test_a_resumed_selection_counts_those_that_stand_already() -> None:
+    planner = MissionPlanner(config=MissionTable(n_landmarks=3, selection_timeout_s=0.1))
+    planner.resume(MissionPhase.LANDMARK_SELECTION, since_ns=0, standing={NodeId(4), NodeId(7)})
+
+    (first,) = _picks(planner.tick(now_ns=NS_PER_S, known=_ALL, adjacency=_ROW))
+    planner.settle(first, is_standing=True)
+    (step,) = planner.tick(now_ns=2 * NS_PER_S, known=_ALL, adjacency=_ROW)
+
+    assert first not in {NodeId(4), NodeId(7)}
+    assert isinstance(step, EnterPhase)
+    assert set(step.landmarks) == {NodeId(4), NodeId(7), first}
+
+
+def test_after_a_mission_that_was_done_the_next_one_begins() -> None:
+    planner = MissionPlanner(config=MissionTable())
+    planner.resume(MissionPhase.DONE, since_ns=0, standing={NodeId(1)})
+
+    (step,) = planner.tick(now_ns=0, known=_ALL, adjacency=_ROW)
+
+    assert isinstance(step, EnterPhase)
+    assert step.phase is MissionPhase.DISPERSION

@@ -131,6 +131,12 @@ def _at_the_limit(loops: FloatArray, rule: BettiRule) -> int:
     return int(np.count_nonzero(looser != stricter))
 
 
+def test_all_parts_of_a_connected_graph_are_one_component() -> None:
+    rule = BettiRule(kind=BettiRuleKind.CONNECTED, q=0.5, delta=0.0, tau=1.0)
+    merges = np.array([(0, np.inf), (0, 9.0), (0, 0.1), (0, 0.1), (0, 0.1)])
+    assert judge_intervals(merges, rule, diameter=10).tolist() == [True, False, False, False, False]
+
+
 def test_with_fewer_than_three_loops_death_over_birth_above_two_decides() -> None:
     loops = np.array([(1.0, 2.5), (1.0, 1.9)])
     assert judge_intervals(loops, QUANTILE, diameter=10).tolist() == [True, False]

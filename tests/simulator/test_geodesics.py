@@ -28,17 +28,30 @@ _SLACK = 1e-10
 
 
 def _without(*obstacles: Shape) -> Polygon:
-    shape = ROOM
-    for obstacle in obstacles:
-        shape = shape.difference(obstacle)
+    shape = ROOM.difference(shapely.union_all(obstacles))
     assert isinstance(shape, Polygon)
     return shape
 
 
 def _spiral() -> Polygon:
     """A corridor that winds inwards for two turns."""
-    outer = [(0, 0), (10, 0), (10, 10), (0, 10), (0, 2), (8, 2), (8, 8), (2, 8), (2, 4), (6, 4), (6, 6), (4, 6), (4, 5), (5, 5)]
-    inner = [(5, 4.5), (3, 4.5), (3, 7), (7, 7), (7, 3), (1, 3), (1, 9), (9, 9), (9, 1), (0, 1)]
+    outer: list[tuple[float, float]] = [
+        (0, 0),
+        (10, 0),
+        (10, 10),
+        (0, 10),
+        (0, 2),
+        (8, 2),
+        (8, 8),
+        (2, 8),
+        (2, 4),
+        (6, 4),
+        (6, 6),
+        (4, 6),
+        (4, 5),
+        (5, 5),
+    ]
+    inner: list[tuple[float, float]] = [(5, 4.5), (3, 4.5), (3, 7), (7, 7), (7, 3), (1, 3), (1, 9), (9, 9), (9, 1), (0, 1)]
     return Polygon(outer + inner)
 
 
@@ -59,6 +72,11 @@ KINDS: dict[str, Callable[[], Shape]] = {
     ),
     "two rooms": lambda: MultiPolygon([box(0, 0, 4.9, 10), Polygon([(5.1, 0), (10, 0), (10, 10), (8, 10), (8, 1), (5.1, 1)])]),
 }
+
+
+def plain_arenas() -> st.SearchStrategy[Arena]:
+    """Arenas without coordinates whose squares underflow: GEOS, which judges here, divides by zero then."""
+    return arenas().filter(lambda arena: not np.any((arena.wall_start != 0) & (np.abs(arena.wall_start) < 1e-100)))
 
 
 def oracle(shape: Shape, points: Floats, *, closed: Floats | None = None) -> Floats:
@@ -115,7 +133,7 @@ def test_geodesics_agree_with_all_pairs_of_corners_joined(kind: str, degrees: fl
 
 
 @settings(max_examples=40)
-@given(arena=arenas(), seed=st.integers(0, 2**32 - 1))
+@given(arena=plain_arenas(), seed=st.integers(0, 2**32 - 1))
 def test_geodesics_agree_with_the_oracle_in_any_arena(arena: Arena, seed: int) -> None:
     points = sample(arena.polygon, np.random.default_rng(seed), 12)
     assume(len(points) > 2)
@@ -123,7 +141,7 @@ def test_geodesics_agree_with_the_oracle_in_any_arena(arena: Arena, seed: int) -
 
 
 @settings(max_examples=60)
-@given(arena=arenas(), seed=st.integers(0, 2**32 - 1))
+@given(arena=plain_arenas(), seed=st.integers(0, 2**32 - 1))
 def test_geodesics_obey_the_laws_of_a_metric(arena: Arena, seed: int) -> None:
     points = sample(arena.polygon, np.random.default_rng(seed), 16)
     assume(len(points) > 2)

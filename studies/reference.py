@@ -1,0 +1,104 @@
+"""Write docs/reference.md: every flag of every command and every configuration key, from the code itself.
+
+``python -m studies.reference > docs/reference.md``; a test compares what it finds with the file.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from enum import Enum
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import msgspec
+
+from firmware_protocol.errors import ConfigurationError
+from gateway.config import GatewayConfig
+from mapper.config import MapperConfig
+from simulator.config import RunConfig
+from simulator.serve_config import ServeConfig
+
+COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "biobot-sim": ("simulator", ("run", "serve", "scenarios")),
+    "biobot-gateway": ("gateway", ("run", "list-ports", "command", "status")),
+    "biobot-mapper": ("mapper", ("run", "serve")),
+}
+CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {
+    "biobot-sim run": RunConfig,
+    "biobot-sim serve": ServeConfig,
+    "biobot-gateway run": GatewayConfig,
+    "biobot-mapper": MapperConfig,
+}
+
+_LIMITS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+
+
+def help_text(module: str, command: str | None) -> str:
+    """Return what ``python -m module [command] --help`` prints."""
+    arguments = [sys.executable, "-m", module, *([command] if command else []), "--help"]
+    environment = {**os.environ, "COLUMNS": "110", "NO_COLOR": "1", "PYTHON_COLORS": "0"}
+    return subprocess.run(arguments, env=environment, check=True, capture_output=True, text=True).stdout
+
+
+def configuration_keys(config: type[msgspec.Struct], prefix: str = "") -> Iterator[tuple[str, str, str]]:
+    """Yield dotted key, type and default of every key of a configuration."""
+    for one in msgspec.structs.fields(config):
+        key = prefix + one.encode_name
+        if isinstance(one.type, type) and issubclass(one.type, msgspec.Struct):
+            yield from configuration_keys(one.type, f"{key}.")
+        else:
+            yield (
+                key,
+                _type_name(one.type),
+                "required" if one.required else f"`{msgspec.json.encode(_default(one), enc_hook=str).decode()}`",
+            )
+
+
+def _default(one: msgspec.structs.FieldInfo) -> object:
+    return one.default if one.default is not msgspec.NODEFAULT else one.default_factory()
+
+
+def _type_name(annotation: Any) -> str:
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        base, *notes = get_args(annotation)
+        limits = [
+            f"{sign} {getattr(note, name):g}" for note in notes for name, sign in _LIMITS.items() if getattr(note, name, None) is not None
+        ]
+        return " ".join([_type_name(base), ", ".join(limits)]).rstrip()
+    if origin in {Union, UnionType}:
+        return " or ".join(_type_name(one) for one in get_args(annotation))
+    if origin is Literal:
+        return " or ".join(f"`{one}`" for one in get_args(annotation))
+    if origin is tuple:
+        return f"list of {_type_name(get_args(annotation)[0])}"
+    if isinstance(annotation, type) and issubclass(annotation, Enum):
+        return " or ".join(f"`{one.value}`" for one in annotation)
+    return "none" if annotation is type(None) else str(getattr(annotation, "__name__", annotation))
+
+
+def reference() -> str:
+    """Return the whole document."""
+    parts = [
+        "# Reference: commands and configuration",
+        "",
+        "Made by `python -m studies.reference`. A configuration is built from its defaults, then `--config FILE.toml`, then variables",
+        "such as `BIOBOT_GATEWAY__SITE` (`BIOBOT_SIM__`, `BIOBOT_MAPPER__`), then flags; a dot in a key is a table in TOML and `__` in a",
+        "variable.",
+    ]
+    for program, (module, commands) in COMMANDS.items():
+        for command in (None, *commands):
+            parts += ["", f"## {program}{' ' + command if command else ''}", "", "```text", help_text(module, command).rstrip(), "```"]
+    parts += ["", "## Configuration keys"]
+    for title, config in CONFIGURATIONS.items():
+        parts += ["", f"### {title}", "", "| key | type | default |", "|---|---|---|"]
+        parts += [f"| `{key}` | {kind} | {default} |" for key, kind, default in configuration_keys(config)]
+    return "\n".join(parts) + "\n"
+
+
+if __name__ == "__main__":
+    try:
+        sys.stdout.write(reference())
+    except ConfigurationError as error:
+        sys.exit(str(error))

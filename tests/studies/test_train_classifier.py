@@ -1,0 +1,116 @@
+"""Training finds the rule that separates holes from noise, and the shipped parameters are its work."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mapper.betti import judge_intervals, load_trained_rules
+from mapper.config import RecipeConfig, make_recipe
+from mapper.types import Method, MetricKind
+from studies import hole_count, train_classifier
+from studies.hole_count import tally
+from studies.train_classifier import TRAINING_RUNS, share_right, train
+from studies.trials import SETTINGS, Setting, Trial, run_trial, run_trials
+
+HISSERS = SETTINGS["big-square/hisser-field"]
+SHORT = dataclasses.replace(HISSERS, name="short", duration_s=120.0)
+RECIPE = make_recipe(RecipeConfig())
+
+
+def _trial(seed: int, *, true_holes: int, real: float, noise: float, counted: int = 0) -> Trial:
+    """Make a diagram with ``true_holes`` intervals of length ``real`` among nine of length up to ``noise``."""
+    rng = np.random.default_rng(seed)
+    lengths = np.sort(np.concatenate([np.full(true_holes, real), noise * rng.uniform(0.2, 1.0, 9)]))[::-1]
+    loops = np.column_stack([np.full(len(lengths), 0.1), 0.1 + lengths])
+    merges = np.column_stack([np.zeros(9), 0.05 * rng.uniform(0.5, 1.0, 9)])
+    return Trial(
+        setting="made", seed=seed, true_holes=true_holes, counted=(1, counted), n_encounters=9, n_components=1, merges=merges, loops=loops
+    )
+
+
+def test_training_separates_what_can_be_separated_at_any_level_of_noise() -> None:
+    groups = {
+        "quiet": [_trial(seed, true_holes=seed % 4, real=0.2, noise=0.02) for seed in range(40)],
+        "noisy": [_trial(seed, true_holes=seed % 4, real=0.4, noise=0.05) for seed in range(40)],
+    }
+    training = train(groups, method=Method.DEFAULT)
+    assert training.right == {"quiet": 1.0, "noisy": 1.0}
+    unseen = [_trial(seed, true_holes=seed % 4, real=0.3, noise=0.03) for seed in range(1000, 1040)]
+    assert share_right(unseen, training.rules[1]) == 1.0
+
+
+def test_in_dimension_zero_nothing_finite_seen_in_training_is_real() -> None:
+    trials = [_trial(seed, true_holes=1, real=0.2, noise=0.02) for seed in range(10)]
+    for method in Method:
+        merges = train({"quiet": trials}, method=method).rules[0]
+        assert not any(judge_intervals(trial.merges, merges, diameter=1.0).any() for trial in trials)
+
+
+def test_a_finished_trial_is_taken_from_the_cache_and_is_the_same(tmp_path: Path) -> None:
+    first = list(run_trials(SHORT, [1, 2], RECIPE, cache=tmp_path))
+    written = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    again = list(run_trials(SHORT, [1, 2], RECIPE, cache=tmp_path))
+    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
+    assert len(written) == 2
+    for one, other, fresh in zip(first, again, [run_trial(SHORT, seed, RECIPE) for seed in (1, 2)], strict=True):
+        for trial in (other, fresh):
+            assert (one.seed, one.true_holes, one.counted) == (trial.seed, trial.true_holes, trial.counted)
+            assert np.array_equal(one.loops, trial.loops)
+            assert np.array_equal(one.merges, trial.merges)
+
+
+def test_another_recipe_or_setting_has_its_own_cache(tmp_path: Path) -> None:
+    for setting, recipe in [
+        (SHORT, RECIPE),
+        (dataclasses.replace(SHORT, mean_leg=6.0), RECIPE),
+        (SHORT, dataclasses.replace(RECIPE, n_points=120)),
+    ]:
+        list(run_trials(setting, [1], recipe, cache=tmp_path))
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_tally_counts_by_true_number_of_holes() -> None:
+    trials = [
+        _trial(seed, true_holes=holes, real=0.2, noise=0.02, counted=counted)
+        for seed, (holes, counted) in enumerate([(0, 0), (1, 1), (1, 2)])
+    ]
+    result = tally(trials, setting="made")
+    assert (result.right, result.runs, result.right_of) == (2, 3, {0: (1, 1), 1: (1, 2)})
+    assert "2 of    3 =  66.7%" in result.line()
+
+
+def test_the_shipped_rules_count_unseen_arenas_right() -> None:
+    """Twelve runs of the coarse `paper-units`: above nine tenths are right in the long run, so two errors in twelve are unlikely enough."""
+    setting: Setting = SETTINGS["squares/paper-units"]
+    trials = list(run_trials(setting, range(20_000, 20_012), RECIPE, cache=None))
+    assert sum(trial.counted == (1, trial.true_holes) for trial in trials) >= 10
+
+
+def test_the_quick_command_writes_rules_for_every_method_and_metric(tmp_path: Path) -> None:
+    out = tmp_path / "classifier.json"
+    assert train_classifier.main(["--quick", "--setting", HISSERS.name, "--out", str(out), "--cache", str(tmp_path / "trials")]) == 0
+    entries = json.loads(out.read_text())
+    assert set(entries) == {f"{method}/{metric}" for method in Method for metric in MetricKind}
+    assert all(entry["command"].endswith("--quick --setting big-square/hisser-field") for entry in entries.values())
+
+
+@pytest.mark.parametrize("method", list(Method))
+@pytest.mark.parametrize("metric", list(MetricKind))
+def test_the_shipped_rules_name_the_command_and_runs_they_come_from(method: Method, metric: MetricKind) -> None:
+    trained = load_trained_rules(method, metric)
+    assert trained.command == "python -m studies.train_classifier"
+    assert all(f"{name} " in trained.trained_on and f"of {runs}" in trained.trained_on for name, runs in TRAINING_RUNS.items())
+
+
+def test_judging_prints_a_line_for_each_setting(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hole_count.main(["--setting", "big-square/hisser-field", "--runs", "2"]) == 0
+    assert "big-square/hisser-field" in capsys.readouterr().out
+
+
+def test_judging_no_runs_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        hole_count.main(["--runs", "0"])
+    assert "at least 1" in capsys.readouterr().err
