@@ -3,7 +3,8 @@
 import asyncio
 from collections.abc import Mapping
 
-from firmware_protocol.messages import Downlink, encode_downlink
+from firmware_protocol.message_codec import encode_downlink
+from firmware_protocol.messages import Downlink
 from firmware_protocol.units import NodeId
 from gateway.coordinator import Coordinator
 from gateway.errors import RadioUnavailableError

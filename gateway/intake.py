@@ -13,6 +13,7 @@ from functools import partial
 import msgspec
 
 from firmware_protocol.contract.records import Cause, EncounterRecord, JournalRecord, NeighbourReport, NodeStatus
+from firmware_protocol.message_codec import decode_uplink
 from firmware_protocol.messages import (
     BROADCAST_NODE,
     EncounterBatch,
@@ -26,7 +27,6 @@ from firmware_protocol.messages import (
     TimeSyncReply,
     Uplink,
     UplinkHeader,
-    decode_uplink,
 )
 from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, NodeId
 from gateway.clocks import ClockBook, NodeClock

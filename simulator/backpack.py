@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+from firmware_protocol.message_codec import decode_downlink, encode_uplink
 from firmware_protocol.messages import (
     MAX_ENCOUNTER_MS,
     MAX_ENCOUNTERS_PER_BATCH,
@@ -34,8 +35,6 @@ from firmware_protocol.messages import (
     UplinkHeader,
     WireCause,
     WireMode,
-    decode_downlink,
-    encode_uplink,
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
 from simulator import chance

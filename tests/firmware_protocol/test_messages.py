@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from firmware_protocol.crc import append_crc
 from firmware_protocol.envelope import Envelope, EnvelopeFault, IdentifyRequest, RadioSend, decode_envelope, encode_envelope
 from firmware_protocol.errors import EncodeError
+from firmware_protocol.message_codec import decode_downlink, decode_uplink, encode_downlink, encode_uplink
 from firmware_protocol.messages import (
     MAX_ENCOUNTER_MS,
     MAX_RADIO_PAYLOAD,
@@ -24,10 +25,6 @@ from firmware_protocol.messages import (
     UplinkHeader,
     WireCause,
     WireMode,
-    decode_downlink,
-    decode_uplink,
-    encode_downlink,
-    encode_uplink,
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
 from tests.strategies import downlinks, envelopes, u16, uplink_headers, uplinks

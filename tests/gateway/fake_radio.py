@@ -26,6 +26,7 @@ from firmware_protocol.envelope import (
 )
 from firmware_protocol.framing.cobs import CobsDecoder, encode_frame
 from firmware_protocol.link import Link, LinkConfig, PayloadReceived, Role
+from firmware_protocol.message_codec import decode_downlink, encode_uplink
 from firmware_protocol.messages import (
     Acknowledge,
     Action,
@@ -46,8 +47,6 @@ from firmware_protocol.messages import (
     UplinkHeader,
     WireCause,
     WireMode,
-    decode_downlink,
-    encode_uplink,
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
 

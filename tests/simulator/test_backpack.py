@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_protocol.message_codec import decode_uplink, encode_downlink
 from firmware_protocol.messages import (
     MAX_ENCOUNTER_MS,
     Acknowledge,
@@ -26,8 +27,6 @@ from firmware_protocol.messages import (
     Uplink,
     WireCause,
     WireMode,
-    decode_uplink,
-    encode_downlink,
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
 from simulator.backpack import Backpack, BackpackConfig, Effect, Transmission
