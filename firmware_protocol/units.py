@@ -3,7 +3,7 @@
 from typing import NewType
 
 NodeId = NewType("NodeId", int)
-"""Address of a biobot: its ZigBee EUI-64 as an unsigned integer; simulated biobots are numbered from 1."""
+"""Number of a biobot, unique in its site: 16 bits on the air (WIRE_FORMAT.md §1), any unsigned 64-bit integer in records and files."""
 
 ShortAddress = NewType("ShortAddress", int)
 """16-bit ZigBee network address of a node, valid until it joins again."""

@@ -24,7 +24,8 @@ class OutboxConfig:
         Wait before the first repetition, doubled for each further one up to the second value [ms]; each wait is then
         multiplied by a draw from 0.75 to 1.25, so that backpacks that began together do not collide for ever.
     window
-        Sequence numbers outstanding at most.
+        How far the oldest number outstanding and the newest one given may be apart, both counted. Acknowledged numbers between them
+        count too: a base station takes what lies further back for done.
     max_waiting
         Messages that may wait for a sequence number.
     """
@@ -77,7 +78,13 @@ class Outbox:
     @property
     def n_free(self) -> int:
         """How many more messages get a number at once."""
-        return max(0, self.config.window - len(self._outstanding) - len(self._waiting))
+        return max(0, self._room - len(self._waiting))
+
+    @property
+    def _room(self) -> int:
+        """How many numbers may be given before the oldest one outstanding is acknowledged."""
+        oldest = next(iter(self._outstanding), self._next_sequence)  # numbers are given, and so kept, in order
+        return self.config.window - (self._next_sequence - oldest) % _MODULUS
 
     def holds(self, kind: type[Uplink]) -> bool:
         """Tell whether a message of this kind is waiting or not yet acknowledged."""
@@ -94,7 +101,7 @@ class Outbox:
 
     def take_due(self, now_ms: int) -> list[Copy]:
         """Return what is to be sent now, in order of sequence numbers; each copy's next repetition is planned at once."""
-        while self._waiting and len(self._outstanding) < self.config.window:
+        while self._waiting and self._room > 0:
             self._outstanding[self._next_sequence] = _Outstanding(message=self._waiting.popleft(), due_ms=now_ms)
             self._next_sequence = (self._next_sequence + 1) % _MODULUS
         copies = []
@@ -107,7 +114,7 @@ class Outbox:
 
     def next_due_ms(self) -> int | None:
         """Return when ``take_due`` has something to give; None where nothing is kept."""
-        if self._waiting and len(self._outstanding) < self.config.window:
+        if self._waiting and self._room > 0:
             return 0
         return min((one.due_ms for one in self._outstanding.values()), default=None)
 

@@ -31,6 +31,9 @@ class Stream(Enum):
     ALIVE = "alive"
 
 
+_NODE = re.compile(r"[0-9]{1,20}\Z", re.ASCII)
+_MAX_NODE = 2**64 - 1
+
 _WITH_NODE = {Stream.STATUS, Stream.NEIGHBOURS}
 
 
@@ -100,6 +103,6 @@ def parse_key(key: str) -> Key:
     check_name(gateway, what="gateway")
     if len(parts) == 3:
         return Key(site=site, stream=stream, gateway=gateway)
-    if stream not in _WITH_NODE or not parts[3].isascii() or not parts[3].isdigit():
+    if stream not in _WITH_NODE or not _NODE.match(parts[3]) or int(parts[3]) > _MAX_NODE:
         raise KeyExpressionError(key=key, reason=f"{parts[3]!r} is no node of stream {stream_name}")
     return Key(site=site, stream=stream, gateway=gateway, node=NodeId(int(parts[3])))

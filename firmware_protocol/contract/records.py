@@ -15,7 +15,7 @@ from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
 
 _Offset = Annotated[int, msgspec.Meta(ge=1)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
-_Node = Annotated[NodeId, msgspec.Meta(ge=0)]
+_Node = Annotated[NodeId, msgspec.Meta(ge=0)]  # decoding refuses what has more than 64 bits
 
 
 class Mode(Enum):
@@ -264,7 +264,7 @@ def decode_record(data: bytes, record_type: type[_StructT]) -> _StructT:
     """
     try:
         return msgspec.msgpack.decode(data, type=record_type)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RecordError(record=record_type.__name__, reason=str(error)) from error
 
 
@@ -283,6 +283,6 @@ def decode_journal_record(data: bytes) -> JournalRecord:
     """
     try:
         record: JournalRecord = msgspec.msgpack.decode(data, type=JournalRecord)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RecordError(record="journal record", reason=str(error)) from error
     return record

@@ -53,6 +53,22 @@ def test_a_name_that_would_break_a_key_is_refused(name: str) -> None:
         build_key(site=name, stream=Stream.EVENTS, gateway="g")
 
 
+@pytest.mark.parametrize("node", ["9" * 5000, "9" * 20, str(2**64), "٣", "-1", "1 "])
+def test_a_node_that_is_no_64_bit_number_is_refused(node: str) -> None:
+    with pytest.raises(KeyExpressionError):
+        parse_key(f"biobot/@v1/a/status/b/{node}")
+
+
+@pytest.mark.parametrize("nesting", [b"\x91", b"\x81\xa1x"])
+def test_deeply_nested_bytes_are_a_fault_and_no_crash(nesting: bytes) -> None:
+    data = b"\x81\xa1x" + nesting * 5000 + b"\xc0"
+
+    with pytest.raises(RecordError):
+        decode_record(data, GatewayStatus)
+    with pytest.raises(RecordError):
+        decode_journal_record(data)
+
+
 @given(st.text(max_size=60))
 def test_no_text_crashes_the_parser(text: str) -> None:
     for key in (text, "biobot/@v1/" + text):
