@@ -252,7 +252,7 @@ def _decode_payload(key: Key, payload: bytes) -> RecordBatch | GatewayStatus | N
 
 
 def _session_config(*, connect: tuple[str, ...], listen: tuple[str, ...]) -> zenoh.Config:
-    # The values and their reasons: ARCHITECTURE, "Zenoh, as measured". A peer starts without a router; a client would wait for it.
+    # A peer starts without a router and connects later; a client would wait for it.
     config = zenoh.Config()
     settings: dict[str, object] = {
         "mode": "peer",

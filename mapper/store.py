@@ -214,7 +214,7 @@ class Store:
         """Take what a map is made of: encounters that are not void and mode spells, on the wall clock.
 
         Where a mission set landmarks, encounters count from the newest exploration on: between earlier ones and the landmarks lies
-        time in which nobody stood still (METHOD 1: time 0 is the moment the landmarks are set).
+        time in which nobody stood still ([Dir16] IV: time 0 is the moment the landmarks are set).
         """
         begun = [wall_interval(record)[0] for record in self._missions.values() if record.phase is MissionPhase.EXPLORATION]
         since_ns = max(begun, default=None)

@@ -52,6 +52,8 @@ class Worker:
         """
         async with self._lock:
             try:
+                if self._connection is None:
+                    await self._start_whole()
                 answer = await asyncio.to_thread(self._exchange, (job, args, kwargs))
             except (EOFError, OSError) as error:
                 raise WorkerDiedError(exit_code=await asyncio.to_thread(self._stop)) from error
@@ -71,9 +73,16 @@ class Worker:
             self._process.kill()
         await asyncio.to_thread(self._stop)
 
+    async def _start_whole(self) -> None:
+        """Start the process; a cancellation waits until there is one, because half a process cannot be killed."""
+        starting = asyncio.ensure_future(asyncio.to_thread(self._start))
+        try:
+            await asyncio.shield(starting)
+        except asyncio.CancelledError:
+            await asyncio.wait([starting])
+            raise
+
     def _exchange(self, request: object) -> Any:
-        if self._connection is None:
-            self._start()
         assert self._connection is not None
         self._connection.send(request)
         return self._connection.recv()
@@ -82,10 +91,10 @@ class Worker:
         # "spawn": a fork would copy Zenoh's threads' locks in whatever state they are.
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), name=self._name, daemon=True)
-        self._process.start()
+        process = context.Process(target=_serve, args=(theirs,), name=self._name, daemon=True)
+        process.start()
         theirs.close()
-        self._connection = ours
+        self._process, self._connection = process, ours
         self.n_starts += 1
 
     def _stop(self) -> int | None:

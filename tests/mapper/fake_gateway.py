@@ -184,6 +184,14 @@ class FakeGateway:
             if chosen:
                 self._publishers[stream].put(encode_record(self._batch(chosen)))
 
+    def has_listener(self, stream: Stream) -> bool:
+        """Somebody's subscription to a stream has reached this session; a plain put before that goes nowhere."""
+        publisher = self._session.declare_publisher(self._key(stream))
+        status: Any = publisher.matching_status  # the stub says bool; it is an object with a bool in it
+        is_matched = bool(status.matching)
+        publisher.undeclare()  # type: ignore[no-untyped-call]  # as in __exit__
+        return is_matched
+
     def publish_bytes(self, stream: Stream, payload: bytes) -> None:
         self._session.put(self._key(stream), payload)
 

@@ -6,11 +6,13 @@ from collections.abc import Callable
 
 import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from firmware_protocol.contract.keys import Stream
 from firmware_protocol.contract.records import JournalRecord, Mode, Stage, StimulationAction, encode_record
 from firmware_protocol.units import NodeId
-from mapper.bus import Bus
+from mapper.bus import Bus, _decode
 from mapper.changes import Topic
 from mapper.commands import Command, Outcome
 from mapper.errors import BiobotNotFoundError, BusError, CommandNotFoundError, CommandRefusedError
@@ -21,6 +23,15 @@ from tests.mapper.mapper_side import Side, mapper_side, until
 
 def level(head: int, *, journal: str = "journal1") -> Callable[[Store], bool]:
     return lambda store: store.watermark(gateway="gateway1", journal=journal) >= head
+
+
+@given(st.text(max_size=80), st.binary(max_size=80) | st.booleans())
+def test_no_key_and_no_bytes_raise_past_the_decoder(key: str, payload: bytes | bool) -> None:
+    prefix = "biobot/@v1/local/"
+    deep = b"\x81\xa1x" + b"\x91" * 5000
+    for text in (key, f"{prefix}{key}", f"{prefix}status/gw/{'9' * 5000}", f"{prefix}encounters/gw", f"{prefix}status/gw/7"):
+        for body in (payload, deep):
+            assert not isinstance(_decode(text, body), BaseException)
 
 
 def test_every_published_record_is_stored_once_though_most_were_never_received() -> None:
@@ -95,11 +106,12 @@ def test_rubbish_on_the_bus_is_counted_and_changes_nothing() -> None:
         port = free_port()
         with FakeGateway(port=port) as gateway:
             async with mapper_side(port) as side:
-                await until(lambda: side.bus.is_connected)
+                streams = (Stream.ENCOUNTERS, Stream.STATUS, Stream.EVENTS)
+                await until(lambda: all(gateway.has_listener(stream) for stream in streams))
                 foreign = encode_record(batch([encounter(1, gateway="gateway2")], gateway="gateway2"))
                 rubbish = [b"", b"\xff" * 100, b"\x81\xa1a", msgspec.msgpack.encode({"gateway": "gateway1"}), foreign]
                 for payload in rubbish:
-                    for stream in (Stream.ENCOUNTERS, Stream.STATUS, Stream.EVENTS):
+                    for stream in streams:
                         gateway.publish_bytes(stream, payload)
                 gateway.journal_records([encounter(1)])
                 gateway.publish([encounter(1)])

@@ -48,6 +48,23 @@ def test_a_killed_worker_is_told_and_the_next_job_has_a_new_one() -> None:
     asyncio.run(story())
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.02, 0.3])
+def test_a_cancellation_while_the_process_starts_or_works_ends_it_at_once(delay_s: float) -> None:
+    async def story() -> None:
+        worker = Worker(name="test")
+        job = asyncio.create_task(worker.run(time.sleep, 60))
+        await asyncio.sleep(delay_s)
+        begun = time.monotonic()
+        job.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await job
+        await worker.aclose()
+        assert worker.pid is None
+        assert time.monotonic() - begun < 20, "it did not wait for the job's minute"
+
+    asyncio.run(story())
+
+
 def test_a_job_that_raises_says_why_and_the_process_stays() -> None:
     async def story() -> None:
         worker = Worker(name="test")
