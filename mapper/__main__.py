@@ -63,6 +63,7 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415
     from mapper.window import absent_biobots, stationary_spells  # noqa: PLC0415
 
+    _refuse_to_overwrite(args)
     table = read_encounters(args.encounters)
     if len(table) < MIN_ENCOUNTERS:
         raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=str(args.encounters))
@@ -77,6 +78,16 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
     _write_outputs(result, args)
     return 0
+
+
+def _refuse_to_overwrite(args: argparse.Namespace) -> None:
+    inputs = {path.resolve() for path in (args.encounters, args.modes, args.config) if path is not None}
+    outputs = [path for path in (args.json, args.svg, args.png) if path is not None and path != Path("-")]
+    for number, path in enumerate(outputs):
+        if path.resolve() in inputs:
+            raise OutputFileError(path=str(path), reason="is also an input; it would be overwritten")
+        if path.resolve() in {other.resolve() for other in outputs[:number]}:
+            raise OutputFileError(path=str(path), reason="is named for two outputs")
 
 
 def _write_outputs(result: MapResult, args: argparse.Namespace) -> None:

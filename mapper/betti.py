@@ -51,7 +51,8 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float) 
     Notes
     -----
     Lengths are divided by the diameter first, so that scaling the metric changes nothing. Intervals of zero length are never real and
-    stay out of the quantile; infinite ones are always real and stay out of it too. With fewer than three finite intervals a quantile
+    stay out of the quantile; infinite ones are always real and stay out of it too. The quantile is a length that occurs, the lower of two:
+    a single real interval among few must not enter it. With fewer than three finite intervals a quantile
     means nothing: in dimension 1 death over birth above 2 decides; in dimension 0, where birth is 0, none is real.
     """
     births, deaths = intervals[:, 0], intervals[:, 1]
@@ -68,6 +69,6 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float) 
         case BettiRuleKind.QUANTILE if is_finite.sum() < _MIN_FOR_QUANTILE:
             is_real = ratio > _FEW_INTERVALS_RATIO
         case BettiRuleKind.QUANTILE:
-            scale = float(np.quantile(length[is_finite], rule.q)) + rule.delta
+            scale = float(np.quantile(length[is_finite], rule.q, method="lower")) + rule.delta
             is_real = length > rule.tau * scale
     return np.asarray((is_real & is_finite) | is_infinite)

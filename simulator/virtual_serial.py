@@ -2,10 +2,12 @@
 
 import asyncio
 import errno
+import fcntl
 import os
 import stat
 import tty
 from pathlib import Path
+from typing import IO
 
 from simulator.errors import LineError
 from simulator.line import Pacer, wait_ready, write_all
@@ -25,6 +27,7 @@ class PtyEnd:
 
     def __init__(self, path: Path, *, baud: int | None = None) -> None:
         self._path = path
+        self._lock = _take_lock(path)
         self._in, self._out = Pacer(baud), Pacer(baud)
         self._master, slave = os.openpty()
         try:
@@ -34,6 +37,7 @@ class PtyEnd:
             _place_link(path, self._name)
         except BaseException:
             os.close(self._master)
+            self._drop_lock()
             raise
         finally:
             os.close(slave)  # held open by us, a gateway's hang-up could not be noticed
@@ -70,6 +74,33 @@ class PtyEnd:
         except OSError:
             pass  # somebody else has taken the name, or removed it
         os.close(self._master)
+        self._drop_lock()
+
+    def _drop_lock(self) -> None:
+        Path(self._lock.name).unlink(missing_ok=True)  # while it is still held
+        self._lock.close()
+
+
+def _take_lock(path: Path) -> IO[bytes]:
+    """Make sure that no other simulator serves this name; the lock goes with the process, however it ends."""
+    name = path.with_name(f".{path.name}.lock")
+    try:
+        lock = name.open("wb")
+    except OSError as error:
+        raise LineError(line=f"pty:{path}", problem=f"cannot be made: {error.strerror or error}; does the directory exist?") from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        lock.close()
+        raise LineError(line=f"pty:{path}", problem="is served by another simulator; choose another path, or end that one") from error
+    try:
+        is_current = os.path.samestat(os.fstat(lock.fileno()), name.stat())
+    except FileNotFoundError:
+        is_current = False
+    if not is_current:  # its last owner removed it between our opening and locking it
+        lock.close()
+        return _take_lock(path)
+    return lock
 
 
 def _place_link(path: Path, target: str) -> None:

@@ -14,7 +14,7 @@ _SIDE = 50.0
 _PASSAGE = 3.0
 _WIDE_PASSAGE = 10.0
 _TRIES = 2_000
-_RESTARTS = 200
+_RESTARTS = 20
 
 
 class ArenaFamily(StrEnum):

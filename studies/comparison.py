@@ -114,7 +114,7 @@ def _draw_truth(axes: Any, fitted: FittedMap, colours: FloatArray) -> None:
     axes.scatter(*fitted.true_xy.T, s=22, c=colours, zorder=3, label="sampled encounter")
     axes.scatter(*_landmarks(truth).T, s=60, marker="^", facecolor="white", edgecolor="black", zorder=4, label="landmark")
     axes.set(title="truth: where they met", aspect="equal", xlabel=f"x [{truth.unit}]", ylabel=f"y [{truth.unit}]")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, frameon=False)
+    axes.legend(loc="upper left", fontsize="small")
 
 
 def _draw_map(axes: Any, fitted: FittedMap, colours: FloatArray) -> None:

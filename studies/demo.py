@@ -4,13 +4,15 @@
 """
 
 import argparse
+import fcntl
 import json
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from studies.comparison import draw_comparison, fit_map
 from studies.ledger import Ledger, check_ledger
@@ -26,6 +28,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demo; 0 where the map has the truth's Betti numbers and every encounter, 1 where not."""
     options = _parser().parse_args(arguments)
     out: Path = options.out
+    # A polite kill ends the three processes as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    lock = _lock(out)
+    if lock is None:
+        print(f"error: another demo is running in {out}; choose another --out", file=sys.stderr)
+        return 2
     if out.exists() and any(out.iterdir()):
         if not (out / "simulator.log").exists():
             print(f"error: {out} is not empty and not of an earlier demo; choose another --out", file=sys.stderr)
@@ -44,6 +52,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\ninterrupted", file=sys.stderr)
         return 130
+
+
+def _lock(out: Path) -> IO[bytes] | None:
+    """Return the lock of a directory, held until it is closed; None where another demo has it."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    lock = out.with_name(f".{out.name}.lock").open("wb")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
+        return None
+    return lock
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -69,7 +89,7 @@ def _run(system: RunningSystem, *, keep_open: bool) -> int:
     ledger = check_ledger(system.truth_directory, records)
     run = load_run(system.truth_directory)
     draw_comparison(fit_map(document, run), settings.out / "comparison.png", title=f"{settings.scenario}, seed {settings.seed}")
-    is_right = _report(score_map(document, system.truth_directory), ledger, out=settings.out)
+    is_right = _report(score_map(document, system.truth_directory), ledger, n_drawn=document["n_encounters"], out=settings.out)
     if keep_open:
         print(f"\nThe page stays open: {system.url}/   (Ctrl-C ends)")
         _wait_for_interrupt(system)
@@ -126,7 +146,7 @@ def _all_encounters(system: RunningSystem) -> Iterator[dict[str, Any]]:
         after = page["next"]
 
 
-def _report(scores: Scores, ledger: Ledger, *, out: Path) -> bool:
+def _report(scores: Scores, ledger: Ledger, *, n_drawn: int, out: Path) -> bool:
     found, real = scores.betti_numbers, scores.true_betti_numbers
     is_right = found == real and ledger.is_complete
     reports = f"{ledger.n_reports} reports, {len(ledger.missing)} missing, {len(ledger.doubled)} twice"
@@ -136,6 +156,8 @@ def _report(scores: Scores, ledger: Ledger, *, out: Path) -> bool:
 components        {found[0]:7}   {real[0]:7}
 holes             {found[1]:7}   {real[1]:7}   ({scores.n_obstacles_found} obstacles outlined, {scores.n_holes_false} false holes)
 encounters        {ledger.n_records:7}   {ledger.n_encounters:7}   ({reports})
+                  two meetings closer together than the clocks can tell are one record;
+                  the map draws {n_drawn}: those since the landmarks stood
 
 diagram           H1 is {scores.bottleneck_share[1]:.1%} of the diameter from the truth's (bottleneck distance)
 picture           points are {scores.placement_error:.1%} of the side from their places (root mean square){exact}

@@ -92,9 +92,12 @@ function showNotices(health) {
 
 function showLink() {
   const alive = gateways.filter((gateway) => gateway.is_alive);
+  const silent = alive.flatMap((gateway) => Object.entries(gateway.radios).filter(([, state]) => state !== "up").map(([radio, state]) => `${radio} ${state}`));
   const [state, words] = !isLineUp ? ["bad", "mapper does not answer, trying again"]
+    : silent.length ? ["bad", `radio ${silent.join(", ")}`]
     : alive.length ? ["good", `live, ${alive.length === 1 ? `gateway ${alive[0].name}` : `${alive.length} gateways`}`]
       : gateways.length ? ["bad", `gateway ${gateways.map((gateway) => gateway.name).join(", ")} is away`] : ["wait", "no gateway yet"];
+  element("link").title = words;
   element("link").className = `chip state-${state}`;
   if (element("link-text").textContent !== words) element("link-text").textContent = words;
 }

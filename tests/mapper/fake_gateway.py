@@ -192,6 +192,11 @@ class FakeGateway:
         publisher.undeclare()  # type: ignore[no-untyped-call]  # as in __exit__
         return is_matched
 
+    @property
+    def is_heard(self) -> bool:
+        """Somebody listens to everything that is put plainly."""
+        return all(self.has_listener(stream) for stream in (Stream.ENCOUNTERS, Stream.STATUS, Stream.EVENTS))
+
     def publish_bytes(self, stream: Stream, payload: bytes) -> None:
         self._session.put(self._key(stream), payload)
 

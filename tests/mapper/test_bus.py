@@ -41,7 +41,7 @@ def test_every_published_record_is_stored_once_though_most_were_never_received()
             everything: list[JournalRecord] = [encounter(n) for n in range(1, 3001)]
             gateway.journal_records(everything[:2000])
             async with mapper_side(port) as side:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 # Live: some batches are lost, some come twice, some late.
                 for first in range(0, 2000, 50):
                     if first % 150 == 0:
@@ -68,7 +68,7 @@ def test_a_mapper_that_comes_late_and_a_gateway_that_comes_late_both_end_level()
         async with mapper_side(port) as side:
             with FakeGateway(port=port) as gateway:
                 gateway.journal_records([encounter(1), mode(2, node=9, t_ns=(0, None))])
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.publish_status()
                 await side.until(level(2))
                 await until(lambda: side.fleet.gateway_of(NodeId(9)) == "gateway1")
@@ -78,7 +78,7 @@ def test_a_mapper_that_comes_late_and_a_gateway_that_comes_late_both_end_level()
             # The same gateway after its journal was lost: another journal, its offsets begin anew.
             with FakeGateway(port=port, journal="journal2") as gateway:
                 gateway.journal_records([encounter(1, sequence=77, journal="journal2"), encounter(2, sequence=78, journal="journal2")])
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.publish_status()
                 await side.until(level(2, journal="journal2"))
             assert await side.n_encounters() == 3
@@ -92,7 +92,7 @@ def test_offsets_that_the_gateway_does_not_have_are_given_up_after_asking_again(
         with FakeGateway(port=port) as gateway:
             gateway.journal_records([encounter(n) for n in (1, 2, 6, 7)])
             async with mapper_side(port) as side:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.publish_status()
                 await side.until(level(7))
                 assert side.intake.counters["given_up"] == 3
@@ -127,7 +127,7 @@ def test_states_reach_the_fleet_and_the_newest_wins() -> None:
         port = free_port()
         with FakeGateway(port=port) as gateway:
             async with mapper_side(port) as side:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 seen = side.changes.versions
                 gateway.publish_status()
                 gateway.publish_node(2**64 - 1, mode=Mode.S, battery_mv=3600, heard_ns=20)
@@ -154,7 +154,7 @@ def test_a_command_is_followed_through_its_stages_to_its_outcome() -> None:
             async with mapper_side(port) as side:
                 with pytest.raises(BiobotNotFoundError):
                     await stop(side)
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.publish_node(5)
                 await until(lambda: side.fleet.gateway_of(NodeId(5)) is not None)
                 command = await stop(side, command_id="once")
@@ -184,7 +184,7 @@ def test_a_command_to_a_gateway_that_is_away_is_undelivered() -> None:
         port = free_port()
         async with mapper_side(port) as side:
             with FakeGateway(port=port) as gateway:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.publish_node(5)
                 await until(lambda: side.fleet.gateway_of(NodeId(5)) is not None)
             await until(lambda: not side.bus.is_connected)

@@ -226,3 +226,16 @@ def test_a_reader_that_leaves_is_no_traceback(ring: Path) -> None:
         errors = process.stderr.read()
     assert "Traceback" not in errors
     assert process.returncode == 1
+
+
+def test_an_input_is_never_overwritten_by_an_output(tmp_path: Path) -> None:
+    file = tmp_path / "in.csv"
+    text = "t_start_s,t_end_s,id1,id2\n1,2,1,2\n3,4,1,3\n"
+    file.write_text(text)
+    command = [sys.executable, "-m", "mapper", "run", str(file), "--json", str(tmp_path / "." / "in.csv")]
+
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert result.returncode == 1
+    assert "overwritten" in result.stderr
+    assert file.read_text() == text

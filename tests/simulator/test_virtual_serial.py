@@ -115,14 +115,16 @@ def test_a_reader_that_does_not_read_stalls_the_writer_and_its_leaving_frees_it(
     asyncio.run(story())
 
 
-def test_a_newer_simulator_takes_the_name_and_the_older_one_leaves_it_alone(tmp_path: Path) -> None:
+def test_a_second_simulator_is_refused_the_name_until_the_first_has_ended(tmp_path: Path) -> None:
     async def story() -> None:
         path = tmp_path / "dongle"
         older = PtyEnd(path)
-        newer = PtyEnd(path)
         target = path.readlink()
-        await older.aclose()
+        with pytest.raises(LineError, match="another simulator"):
+            PtyEnd(path)
         assert path.readlink() == target
+        await older.aclose()
+        newer = PtyEnd(path)
         with serial.Serial(str(path), timeout=DEADLINE_S) as port:
             await newer.write(b"here")
             assert await in_thread(lambda: port.read(4)) == b"here"
