@@ -30,6 +30,7 @@ from firmware_protocol.contract.records import (
     NeighbourReport,
     NodeStatus,
     RecordBatch,
+    StimulationAction,
     StimulationRequest,
     Struct,
     decode_record,
@@ -52,6 +53,9 @@ _CACHE = 2048
 
 _HEARTBEAT_S = 0.5
 _MAX_COMMANDS = 256
+_MAX_STOPS = 4096
+"""Commands that may wait when the next one is a STOP: it passes where any other is refused."""
+
 _MAX_HISTORY_QUERIES = 16
 _HISTORY_PAGE = 500
 _DISCOVERY_S = 3.0
@@ -229,9 +233,10 @@ class Bus:
         except RecordError as error:
             self._refuse(query, str(error))
             return
+        limit = _MAX_STOPS if request.action is StimulationAction.STOP else _MAX_COMMANDS
         with self._lock:
-            if len(self._commands) >= _MAX_COMMANDS:
-                self._refuse(query, f"{_MAX_COMMANDS} commands wait already; try again")
+            if len(self._commands) >= limit:
+                self._refuse(query, f"{limit} commands wait already; try again")
                 return
             is_first = not self._commands
             self._commands.append((request, CommandAnswer(query=query, key=key, executor=self._answers)))

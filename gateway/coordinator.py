@@ -40,6 +40,7 @@ from firmware_protocol.units import NS_PER_S, ShortAddress
 from gateway.config import LinkTable
 from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError
 from gateway.health import Health, RadioState
+from gateway.journal_file import SESSIONS_PER_START
 from gateway.log import EventLog
 from gateway.radio import Fate, RadioMessage, RadioOutcome, outcome_of
 from gateway.transports.interface import Transport
@@ -82,6 +83,9 @@ class Coordinator:
     on_radio
         Takes a radio payload; returns a future that is done when all that the payload says is on disk, or None where there
         is nothing to wait for.
+    first_session
+        Number of its first session. It must not be one that an earlier process used of late: the dongle takes RESET of its
+        running session for a repetition, keeps its counters, and both sides wait for ever (WIRE_FORMAT.md §3.2).
     """
 
     def __init__(
@@ -92,6 +96,7 @@ class Coordinator:
         on_radio: Callable[[RadioMessage], "asyncio.Future[None] | None"],
         config: LinkTable,
         health: Health,
+        first_session: int,
         on_state: Callable[[str, RadioState, str], None] | None = None,
     ) -> None:
         self.radio = radio
@@ -104,10 +109,12 @@ class Coordinator:
         self._link = Link(role=Role.INITIATOR, config=LinkConfig(window=_WINDOW))
         self._decoder = CobsDecoder()
         self._wake = asyncio.Event()
-        self._session = random.randrange(1 << 16)
+        self._first_session = first_session
+        self._n_sessions = 0
         self._receipts: deque[_Receipt] = deque()
         self._sendings: dict[int, _Sending] = {}
-        self._next_handle = 0
+        # A RadioConfirm that the dongle kept from before a restart must not settle another payload.
+        self._next_handle = random.randrange(1 << 16)
         self._opening_until_ns = 0
         self._has_opened = False
         self._down_since_ns: int | None = None
@@ -193,8 +200,8 @@ class Coordinator:
         self._wake.set()
 
     def _new_session(self) -> int:
-        self._session = (self._session + 1) % (1 << 16)
-        return self._session
+        # Only a session that opened is used up: while the dongle does not answer, numbers do not go round to its last one.
+        return (self._first_session + self._n_sessions % SESSIONS_PER_START) % (1 << 16)
 
     async def _read(self, transport: Transport) -> None:
         while True:
@@ -292,6 +299,7 @@ class Coordinator:
 
     def _came_up(self) -> None:
         self._has_opened = True
+        self._n_sessions += 1
         self._receipts.clear()
         self._link.send(encode_envelope(IdentifyRequest()), now_ns=time.monotonic_ns())
         self._health.set_radio(self.radio, RadioState.UP)

@@ -5,6 +5,7 @@ disk together or not at all. Only then is the biobot told, the dongle's payload 
 """
 
 import asyncio
+import sqlite3
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -36,7 +37,7 @@ from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
 from gateway.journal_file import JournalReader, JournalWrite, UplinkReport
 from gateway.modes import ModeReport, ModeTracker
-from gateway.nodes import Node, NodeBook, NodeMemory, cause_of, introduce, mode_of
+from gateway.nodes import Node, NodeBook, NodeMemory, cause_of, mode_of
 from gateway.radio import RadioMessage
 from gateway.sequences import SequenceWindow
 
@@ -69,6 +70,8 @@ class IntakeListeners:
     on_status: Callable[[NodeStatus], None]
     on_neighbours: Callable[[NeighbourReport], None]
     on_reply: Callable[[NodeId, StimulateReply], None]
+    on_duplicate: Callable[[NodeId, int, int], None]
+    """A biobot's number came with one EUI-64 and then with another."""
     on_unknown_clock: Callable[[], None]
     """Told at once: a report was not taken because its backpack's clock is not known yet."""
 
@@ -193,8 +196,12 @@ class Intake:
         return self._listeners
 
     def _committed(
-        self, life: _Life, number: int, node: NodeId, tell: Callable[[IntakeListeners], None] | None, _done: "asyncio.Future[None]"
+        self, life: _Life, number: int, node: NodeId, tell: Callable[[IntakeListeners], None] | None, done: "asyncio.Future[None]"
     ) -> None:
+        if done.cancelled() or done.exception() is not None:
+            # It can never be stored. The biobot is told to forget it, lest it repeat it and hold back what follows for ever.
+            self._health.count("message.unstorable")
+            tell = None
         life.committed.add(number)
         listeners = self._listeners_or_fail()
         listeners.on_committed(node)
@@ -228,14 +235,24 @@ class Intake:
         """Return the records that a message brings about, and whom to tell of it after the commit."""
         match uplink:
             case Hello():
-                introduce(node, uplink)
-                return (), self._tell_status(node)
+                other = self._nodes.introduce(node, uplink)
+                tell_status = self._tell_status(node)
+                if other is None:
+                    return (), tell_status
+
+                def tell(listeners: IntakeListeners) -> None:
+                    listeners.on_duplicate(header.node, other, uplink.eui64)
+                    if tell_status is not None:
+                        tell_status(listeners)
+
+                return (), tell
             case EncounterBatch(entries=entries):
                 return tuple(record for entry in entries for record in self._merge(entry, header=header, node=node, clock=clock)), None
             case Status():
-                node.status = uplink
+                is_newest = self._nodes.take_status(node, uplink, number=number)
                 report = self._mode_report(uplink, header=header, clock=clock)
-                return () if report is None else tuple(self._modes.observe(report)), self._tell_status(node)
+                records = () if report is None else tuple(self._modes.observe(report))
+                return records, self._tell_status(node) if is_newest else None
             case Neighbours():
                 wall_ns = node.last_heard_wall_ns
                 whole = self._nodes.take_neighbours(node, uplink, number=number, wall_ns=wall_ns)
@@ -277,12 +294,13 @@ class Intake:
         """Bring back from the journal what the merger has forgotten and this late report may belong to."""
         node_a, node_b = sorted((report.node, report.peer))
         slack_ns = report.margin_ns + _RECALL_SLACK_NS
-        records = self._reader.read_pair(
-            node_a=node_a,
-            node_b=node_b,
-            from_wall_ns=self._issuer.to_wall_ns(report.t_start_ns - slack_ns),
-            to_wall_ns=self._issuer.to_wall_ns(report.t_end_ns + slack_ns),
-        )
+        from_wall_ns, to_wall_ns = self._issuer.to_recorded_wall_ns(report.t_start_ns - slack_ns, report.t_end_ns + slack_ns)
+        try:
+            records = self._reader.read_pair(node_a=node_a, node_b=node_b, from_wall_ns=from_wall_ns, to_wall_ns=to_wall_ns)
+        except sqlite3.Error:
+            # The report is kept as an encounter of its own; its other half, if there is one, stays another.
+            self._health.count("encounter.unread_journal")
+            return
         if records:
             self._merger.restore(records, margin=self._margin_of_record)
 

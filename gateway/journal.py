@@ -2,10 +2,11 @@
 
 Writes are taken in order and committed in groups: while one group is being synced, the next one gathers, so a lone write waits
 for nothing and a flood shares its syncs. A commit that fails (full disk) is tried again until it succeeds: nothing behind it
-is published or acknowledged in between, and nothing is lost.
+is published or acknowledged in between, and nothing is lost. A write that can never be stored costs itself alone.
 """
 
 import asyncio
+import itertools
 import sqlite3
 import time
 from collections import deque
@@ -21,7 +22,7 @@ from firmware_protocol.contract.records import JournalRecord
 from firmware_protocol.units import BootId
 from gateway.errors import JournalFullError
 from gateway.health import Health
-from gateway.journal_file import JournalFile, JournalReader, JournalWrite, open_journal_file
+from gateway.journal_file import JournalFile, JournalIdentity, JournalReader, JournalWrite, open_journal_file
 from gateway.log import EventLog
 
 _log = EventLog(__name__)
@@ -32,6 +33,10 @@ MAX_GROUP = 256
 MAX_WAITING = 65_536
 """Writes that may wait for the disk. Radios stall at 16 unconfirmed payloads each, so only a flood of commands comes near."""
 
+_UNSTORABLE = (OverflowError, TypeError, ValueError, sqlite3.IntegrityError, sqlite3.DataError)
+"""What a write raises that can never be stored. Every other error of SQLite is the disk's, and is waited out."""
+
+_MACHINE_BOOT = Path("/proc/sys/kernel/random/boot_id")
 _FIRST_RETRY_S = 0.1
 _MAX_RETRY_S = 2.0
 
@@ -41,7 +46,7 @@ class _Group:
     """Writes that are committed together."""
 
     done: asyncio.Future[None]
-    writes: list[JournalWrite] = field(default_factory=list)
+    writes: list[tuple[JournalWrite, asyncio.Future[None]]] = field(default_factory=list)
 
 
 class Journal:
@@ -54,7 +59,6 @@ class Journal:
         self._groups: deque[_Group] = deque()
         self._n_waiting = 0
         self._wake = asyncio.Event()
-        self._next_offset = file.identity.head_offset + 1
         self._head_offset = file.identity.head_offset
         self._last_group: asyncio.Future[None] | None = None
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="journal")
@@ -65,7 +69,13 @@ class Journal:
     @classmethod
     def open(cls, path: Path, *, health: Health) -> Self:
         """Open or make the journal at ``path``; raises ``JournalUnfitError``."""
-        return cls(path=path, file=open_journal_file(path, now_wall_ns=time.time_ns()), health=health)
+        file = open_journal_file(path, now_wall_ns=time.time_ns(), now_ns=time.monotonic_ns(), machine_boot=_read_machine_boot())
+        return cls(path=path, file=file, health=health)
+
+    @property
+    def identity(self) -> JournalIdentity:
+        """What was settled when it was opened."""
+        return self._file.identity
 
     @property
     def journal_id(self) -> str:
@@ -105,7 +115,7 @@ class Journal:
         self._on_fault = listener
 
     def append(self, write: JournalWrite) -> asyncio.Future[None]:
-        """Queue a write; the future resolves when it is on disk, and never fails.
+        """Queue a write; the future resolves when it is on disk, and fails where it can never be stored.
 
         Its records get the next offsets, in order.
 
@@ -116,23 +126,19 @@ class Journal:
         """
         if self.is_full:
             raise JournalFullError(limit=MAX_WAITING)
-        if write.records:
-            numbered = []
-            for record in write.records:
-                numbered.append(msgspec.structs.replace(record, offset=self._next_offset))
-                self._next_offset += 1
-            write = JournalWrite(records=tuple(numbered), report=write.report, node=write.node, audit=write.audit)
+        loop = asyncio.get_running_loop()
         if not self._groups or len(self._groups[-1].writes) >= MAX_GROUP:
-            self._groups.append(_Group(done=asyncio.get_running_loop().create_future()))
+            self._groups.append(_Group(done=loop.create_future()))
             self._wake.set()
         group = self._groups[-1]
-        group.writes.append(write)
+        done: asyncio.Future[None] = loop.create_future()
+        group.writes.append((write, done))
         self._n_waiting += 1
         self._last_group = group.done
-        return group.done
+        return done
 
     def barrier(self) -> asyncio.Future[None]:
-        """Return a future that resolves when all that was appended so far is on disk."""
+        """Return a future that resolves when all that was appended so far is on disk, but for what can never be stored."""
         if self._last_group is None:
             done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
             done.set_result(None)
@@ -158,26 +164,50 @@ class Journal:
         self._file.close()
 
     async def _commit(self, group: _Group) -> None:
+        try:
+            await self._commit_together(group.writes)
+        except _UNSTORABLE:
+            for one in group.writes:
+                await self._commit_alone(*one)
+        group.done.set_result(None)
+
+    async def _commit_alone(self, write: JournalWrite, done: asyncio.Future[None]) -> None:
+        try:
+            await self._commit_together([(write, done)])
+        except _UNSTORABLE as error:
+            self._health.count("journal.unstorable_writes")
+            _log.error("journal.unstorable", path=self._path, reason=f"{type(error).__name__}: {error}")
+            self._n_waiting -= 1
+            done.set_exception(error)
+            done.exception()  # marked as seen: not everyone who appends waits
+
+    async def _commit_together(self, members: list[tuple[JournalWrite, asyncio.Future[None]]]) -> None:
+        """Commit in one transaction, as often as it takes; raises one of ``_UNSTORABLE``, and then nothing is on disk."""
         loop = asyncio.get_running_loop()
+        writes = _number([write for write, _ in members], first_offset=self._head_offset + 1)
         retry_s = _FIRST_RETRY_S
         while True:
             try:
-                await asyncio.shield(loop.run_in_executor(self._executor, self._file.commit, group.writes))
+                await asyncio.shield(loop.run_in_executor(self._executor, self._file.commit, writes))
                 break
-            except sqlite3.OperationalError as error:  # full disk, I/O error, locked: the file is as it was
+            except _UNSTORABLE:
+                raise
+            except sqlite3.Error as error:  # full disk, I/O error, locked, damaged: nobody is told of what it did not take
                 self._enter_fault(str(error))
             await asyncio.sleep(retry_s)
             retry_s = min(2 * retry_s, _MAX_RETRY_S)
         self._leave_fault()
-        self._n_waiting -= len(group.writes)
-        records = tuple(record for write in group.writes for record in write.records)
+        self._n_waiting -= len(writes)
+        records = tuple(record for write in writes for record in write.records)
         self._health.count("journal.commits")
-        self._health.count("journal.writes", len(group.writes))
+        self._health.count("journal.writes", len(writes))
         if records:
             self._head_offset = records[-1].offset
             for listener in self._listeners:
                 listener(records, self._head_offset)
-        group.done.set_result(None)
+        for _, done in members:
+            if not done.done():
+                done.set_result(None)
 
     def _enter_fault(self, reason: str) -> None:
         self._health.count("journal.refused_commits")
@@ -193,3 +223,27 @@ class Journal:
             self._fault = None
             if self._on_fault is not None:
                 self._on_fault(None)
+
+
+def _read_machine_boot() -> str:
+    """Return the kernel's name for the time since the machine booted; empty where it gives none."""
+    try:
+        return _MACHINE_BOOT.read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+
+
+def _number(writes: list[JournalWrite], *, first_offset: int) -> list[JournalWrite]:
+    """Give the records their offsets; only now, so that a write that was dropped leaves no gap."""
+    offsets = itertools.count(first_offset)
+    return [
+        JournalWrite(
+            records=tuple(msgspec.structs.replace(record, offset=next(offsets)) for record in write.records),
+            report=write.report,
+            node=write.node,
+            audit=write.audit,
+        )
+        if write.records
+        else write
+        for write in writes
+    ]

@@ -5,6 +5,7 @@ messages are done), ``nodes`` (what is known of biobots), ``audit`` (stages of c
 """
 
 import fcntl
+import json
 import secrets
 import sqlite3
 from collections.abc import Iterable, Sequence
@@ -20,7 +21,7 @@ from firmware_protocol.contract.records import (
     decode_journal_record,
     encode_journal_record,
 )
-from firmware_protocol.units import NS_PER_S, BootId, NodeId
+from firmware_protocol.units import NS_PER_S, BootId, Nanoseconds, NodeId
 from gateway.errors import JournalUnfitError
 
 _APPLICATION_ID = 0x42494F47  # "BIOG" in SQLite's header: this file is a gateway's journal
@@ -46,6 +47,12 @@ CREATE TABLE audit (
 CREATE INDEX audit_of_command ON audit (command_id, id);
 CREATE INDEX audit_of_time ON audit (wall_ns);
 """
+_MAX_INTEGER = (1 << 63) - 1  # SQLite's largest; a command may name a larger node, and its request says which
+
+SESSIONS_PER_START = 16
+"""Link session numbers that are a start's own: 4096 starts in a row use different ones."""
+
+_MAX_ANCHORS = 64
 _NO_SPACE_ADVICE = "free some space or choose another file with --journal"
 
 
@@ -92,11 +99,18 @@ class JournalWrite:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JournalIdentity:
-    """Name of the file's history, number of this start, and how far the history goes."""
+    """Name of the file's history, number of this start, and how far the history goes.
+
+    ``wall_anchor_ns`` is UTC minus monotonic clock, read at this start; ``earlier_anchors`` are those of earlier starts since
+    the machine booted, whose monotonic clock was this one. ``first_session`` begins this start's link session numbers.
+    """
 
     journal: str
     boot: BootId
     head_offset: int
+    wall_anchor_ns: Nanoseconds
+    earlier_anchors: tuple[Nanoseconds, ...]
+    first_session: int
 
 
 class JournalFile:
@@ -105,20 +119,28 @@ class JournalFile:
     def __init__(self, *, connection: sqlite3.Connection, lock: IO[bytes], identity: JournalIdentity) -> None:
         self._connection = connection
         self._lock = lock
+        self._n_commits = _count_commits(connection)
         self.identity = identity
 
     def commit(self, writes: Iterable[JournalWrite]) -> None:
-        """Put all ``writes`` on disk in one transaction; ``sqlite3.Error`` leaves the file as it was."""
+        """Put all ``writes`` on disk in one transaction; an error leaves the file as it was, or complete.
+
+        After an error of SQLite the same writes may be given again: where the failed COMMIT did reach the disk, nothing is
+        written twice.
+        """
         connection = self._connection
         connection.execute("BEGIN IMMEDIATE")
         try:
-            for write in writes:
-                _insert(connection, write)
+            if _count_commits(connection) == self._n_commits:
+                for write in writes:
+                    _insert(connection, write)
+                connection.execute("INSERT OR REPLACE INTO meta VALUES ('commits', ?)", (str(self._n_commits + 1),))
             connection.execute("COMMIT")
-        except sqlite3.Error:
+        except BaseException:
             if connection.in_transaction:
                 connection.execute("ROLLBACK")
             raise
+        self._n_commits += 1
 
     def close(self) -> None:
         """Close the file and let others have it."""
@@ -210,8 +232,10 @@ class JournalReader:
         return [AuditEntry(**dict(zip(names, row, strict=True))) for row in rows]
 
 
-def open_journal_file(path: Path, *, now_wall_ns: int) -> JournalFile:
+def open_journal_file(path: Path, *, now_wall_ns: int, now_ns: int, machine_boot: str) -> JournalFile:
     """Open the journal, or make it where there is none, and begin a new boot.
+
+    ``machine_boot`` names what the monotonic clock counts from; it is empty where that is not known.
 
     Raises
     ------
@@ -222,7 +246,8 @@ def open_journal_file(path: Path, *, now_wall_ns: int) -> JournalFile:
     try:
         connection = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=5.0)
         try:
-            identity = _prepare(connection, path=path, now_wall_ns=now_wall_ns)
+            _prepare(connection, path=path)
+            identity = _begin_boot(connection, now_wall_ns=now_wall_ns, now_ns=now_ns, machine_boot=machine_boot)
         except BaseException:
             connection.close()
             raise
@@ -255,7 +280,7 @@ def _take_lock(path: Path) -> IO[bytes]:
     return lock
 
 
-def _prepare(connection: sqlite3.Connection, *, path: Path, now_wall_ns: int) -> JournalIdentity:
+def _prepare(connection: sqlite3.Connection, *, path: Path) -> None:
     connection.execute("PRAGMA locking_mode = NORMAL")
     application_id = connection.execute("PRAGMA application_id").fetchone()[0]
     version = connection.execute("PRAGMA user_version").fetchone()[0]
@@ -279,10 +304,38 @@ def _prepare(connection: sqlite3.Connection, *, path: Path, now_wall_ns: int) ->
         connection.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version = {_SCHEMA_VERSION}")
         connection.execute("COMMIT")
+
+
+def _begin_boot(connection: sqlite3.Connection, *, now_wall_ns: int, now_ns: int, machine_boot: str) -> JournalIdentity:
     meta = dict(connection.execute("SELECT key, value FROM meta"))
     boot = BootId(max(int(meta["boot"]) + 1, now_wall_ns // NS_PER_S))
-    connection.execute("UPDATE meta SET value = ? WHERE key = 'boot'", (str(boot),))
-    return JournalIdentity(journal=meta["journal"], boot=boot, head_offset=_head_offset(connection))
+    anchor_ns = Nanoseconds(now_wall_ns - now_ns)
+    is_same_clock = bool(machine_boot) and meta.get("machine_boot") == machine_boot
+    earlier = tuple(Nanoseconds(anchor) for anchor in json.loads(meta["anchors"])) if is_same_clock else ()
+    first_session = int(meta.get("next_session") or secrets.randbelow(1 << 16))
+    # Before the first session is opened: a process that is killed leaves its numbers used.
+    connection.execute(
+        "INSERT OR REPLACE INTO meta VALUES ('boot', ?), ('machine_boot', ?), ('anchors', ?), ('next_session', ?)",
+        (
+            str(boot),
+            machine_boot,
+            json.dumps([*earlier, anchor_ns][-_MAX_ANCHORS:]),
+            str((first_session + SESSIONS_PER_START) % (1 << 16)),
+        ),
+    )
+    return JournalIdentity(
+        journal=meta["journal"],
+        boot=boot,
+        head_offset=_head_offset(connection),
+        wall_anchor_ns=anchor_ns,
+        earlier_anchors=earlier,
+        first_session=first_session,
+    )
+
+
+def _count_commits(connection: sqlite3.Connection) -> int:
+    row = connection.execute("SELECT value FROM meta WHERE key = 'commits'").fetchone()
+    return 0 if row is None else int(row[0])
 
 
 def _head_offset(connection: sqlite3.Connection) -> int:
@@ -339,7 +392,7 @@ def _insert(connection: sqlite3.Connection, write: JournalWrite) -> None:
                 audit.command_id,
                 audit.wire_command,
                 audit.stage,
-                audit.node,
+                min(audit.node, _MAX_INTEGER),
                 audit.train_ms,
                 audit.request,
                 audit.body,

@@ -15,6 +15,7 @@ from firmware_protocol.contract.records import (
     MissionPhase,
     MissionRecord,
     Mode,
+    ModeRecord,
     Stage,
     StimulationAction,
     StimulationRequest,
@@ -68,19 +69,31 @@ class MissionPlanner:
     config: MissionTable
     phase: MissionPhase = MissionPhase.IDLE
     confirmed: set[NodeId] = field(default_factory=set)
+    n_left_standing: int = 0
+    """Biobots that an earlier mission stopped, and that still stand when this one begins."""
     _since_ns: int = 0
     _adjacency: dict[int, frozenset[NodeId]] | None = None
     _awaited: set[NodeId] = field(default_factory=set)
     _failed: set[NodeId] = field(default_factory=set)
 
-    def resume(self, phase: MissionPhase, *, since_ns: int, standing: set[NodeId]) -> None:
+    def resume(self, phase: MissionPhase, *, since_ns: int, now_ns: int, standing: set[NodeId]) -> None:
         """Go on with a mission that an earlier process had begun; one that was done is done, and the next one begins.
 
         A selection that was under way is made again; it counts those biobots that already stand by command.
+
+        Parameters
+        ----------
+        since_ns
+            When the phase began.
+        now_ns
+            When this process began: a selection waits for neighbour reports from then, since those given before are gone.
+        standing
+            Biobots that stand by command.
         """
         if phase in {MissionPhase.IDLE, MissionPhase.DONE}:
+            self.n_left_standing = len(standing)
             return
-        self.phase, self._since_ns = phase, since_ns
+        self.phase, self._since_ns = phase, now_ns if phase is MissionPhase.LANDMARK_SELECTION else since_ns
         self.confirmed |= standing
 
     def tick(self, *, now_ns: int, known: set[NodeId], adjacency: Mapping[NodeId, frozenset[NodeId]]) -> list[MissionStep]:
@@ -89,14 +102,17 @@ class MissionPlanner:
         Parameters
         ----------
         known
-            All biobots heard of.
+            All biobots heard of; where there are none, no landmark is selected.
         adjacency
             Whom each biobot hears, of those that have reported it.
         """
         elapsed_s = (now_ns - self._since_ns) / NS_PER_S
         match self.phase:
             case MissionPhase.IDLE if known:
-                return [self._enter(MissionPhase.DISPERSION, now_ns=now_ns, reason="the first biobot was heard")]
+                reason = "the first biobot was heard"
+                if self.n_left_standing:
+                    reason += f"; {self.n_left_standing} biobots still stand by command"
+                return [self._enter(MissionPhase.DISPERSION, now_ns=now_ns, reason=reason)]
             case MissionPhase.DISPERSION if elapsed_s >= self.config.dispersion_s:
                 reason = f"dispersed for {self.config.dispersion_s:g} s"
                 return [self._enter(MissionPhase.LANDMARK_SELECTION, now_ns=now_ns, reason=reason)]
@@ -124,7 +140,8 @@ class MissionPlanner:
         self, *, now_ns: int, elapsed_s: float, known: set[NodeId], adjacency: Mapping[NodeId, frozenset[NodeId]]
     ) -> list[MissionStep]:
         if self._adjacency is None:
-            if not known <= adjacency.keys() and elapsed_s < self.config.selection_timeout_s:
+            is_patient = elapsed_s < self.config.selection_timeout_s
+            if not known or (is_patient and not known <= adjacency.keys()):
                 return []
             reported = adjacency or {node: frozenset[NodeId]() for node in known}
             self._adjacency = {int(node): heard for node, heard in reported.items()}
@@ -170,6 +187,7 @@ class Mission:
         health: Health,
         wall_clock: Callable[[], int] = time.time_ns,
     ) -> None:
+        self._config = config
         self._planner = MissionPlanner(config=config)
         self._issuer = issuer
         self._journal = journal
@@ -177,28 +195,32 @@ class Mission:
         self._gate = gate
         self._health = health
         self._wall_clock = wall_clock
-        self._resume(reader)
+        self._restored_until_ns = 0
+        self._resume(reader, now_ns=time.monotonic_ns())
 
-    def _resume(self, reader: JournalReader) -> None:
+    def _resume(self, reader: JournalReader, *, now_ns: int) -> None:
         last = reader.read_last_mission()
         if last is None:
             return
         standing = set(last.landmarks)
-        if last.phase is MissionPhase.LANDMARK_SELECTION:
-            spells = {spell.node: spell for spell in reader.read_recent_modes(limit=_RESTORED_MODES)}
-            standing |= {node for node, spell in spells.items() if spell.mode is Mode.S and spell.cause is Cause.COMMAND}
+        if last.phase in {MissionPhase.LANDMARK_SELECTION, MissionPhase.DONE}:
+            standing_now = _standing_by_command(reader)
+            standing = standing_now if last.phase is MissionPhase.DONE else standing | standing_now
         since_ns = self._issuer.to_own_monotonic_ns(last.t_start_ns, anchor_ns=last.wall_anchor_ns)
-        self._planner.resume(last.phase, since_ns=since_ns, standing=standing)
+        self._planner.resume(last.phase, since_ns=since_ns, now_ns=now_ns, standing=standing)
         if self._planner.phase is not MissionPhase.IDLE:
+            self._restored_until_ns = now_ns + int(self._config.selection_timeout_s * NS_PER_S)
             _log.info("mission.resumed", phase=last.phase.value, landmarks=len(standing))
 
     async def run(self) -> None:
         """Go through the phases, until cancelled."""
         async with asyncio.TaskGroup() as tasks:
             while True:
-                heard = {node.node for node in self._nodes.all() if node.last_heard_ns}
-                adjacency = {node: others for node, others in self._nodes.adjacency().items() if node in heard}
-                self._take(self._planner.tick(now_ns=time.monotonic_ns(), known=heard, adjacency=adjacency), tasks)
+                now_ns = time.monotonic_ns()
+                # Those of the journal are waited for: the first one that speaks after a restart is not all there are.
+                known = {node.node for node in self._nodes.all() if node.last_heard_ns or now_ns < self._restored_until_ns}
+                adjacency = {node: others for node, others in self._nodes.adjacency().items() if node in known}
+                self._take(self._planner.tick(now_ns=now_ns, known=known, adjacency=adjacency), tasks)
                 await asyncio.sleep(_TICK_S)
 
     def _take(self, steps: list[MissionStep], tasks: asyncio.TaskGroup) -> None:
@@ -245,3 +267,12 @@ class Mission:
             reason=step.reason,
         )
         self._journal.append(JournalWrite(records=(record,)))
+
+
+def _standing_by_command(reader: JournalReader) -> set[NodeId]:
+    """Return the biobots whose last spell is one of standing still by command."""
+    newest: dict[NodeId, dict[tuple[int, int], ModeRecord]] = {}
+    for record in reader.read_recent_modes(limit=_RESTORED_MODES):
+        newest.setdefault(record.node, {})[record.boot, record.sequence] = record
+    last = [max(spells.values(), key=lambda spell: spell.t_start_ns + spell.wall_anchor_ns) for spells in newest.values()]
+    return {spell.node for spell in last if spell.mode is Mode.S and spell.cause is Cause.COMMAND}

@@ -120,7 +120,11 @@ class ModeTracker:
     def restore(self, records: Iterable[ModeRecord]) -> None:
         """Remember records of the journal, given in the order of their offsets, before any report is taken."""
         newest = {(record.boot, record.sequence): record for record in records}
-        for record in sorted(newest.values(), key=lambda record: record.t_start_ns + record.wall_anchor_ns):
+
+        def start_of(record: ModeRecord) -> int:
+            return self.issuer.to_own_monotonic_ns(record.t_start_ns, anchor_ns=record.wall_anchor_ns)
+
+        for record in sorted(newest.values(), key=start_of):
             end_ns = record.t_end_ns
             anchor_ns = record.wall_anchor_ns
             spells = self._spells.setdefault(record.node, [])
@@ -131,7 +135,7 @@ class ModeTracker:
                     revision=record.revision,
                     mode=record.mode,
                     cause=record.cause,
-                    t_start_ns=self.issuer.to_own_monotonic_ns(record.t_start_ns, anchor_ns=anchor_ns),
+                    t_start_ns=Nanoseconds(start_of(record)),
                     t_end_ns=None if end_ns is None else self.issuer.to_own_monotonic_ns(end_ns, anchor_ns=anchor_ns),
                     error_ns=record.error_ns,
                     node_boot=None,

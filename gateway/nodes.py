@@ -13,6 +13,10 @@ _PENDING_PARTS = 33
 """A neighbour report cannot have more parts under way than a backpack has messages outstanding (WIRE_FORMAT.md §5.1)."""
 
 
+_MAX_DUPLICATES = 1024
+"""Pairs of devices under one number that are told of; a flood of made-up ones is not."""
+
+
 class NodeMemory(msgspec.Struct, frozen=True, kw_only=True):
     """What of a biobot outlives the gateway's process."""
 
@@ -45,7 +49,10 @@ class Node:
     beacon_period_ms: int = 0
     capabilities: int = 0
     status: Status | None = None
+    status_number: int | None = None
+    """Unwrapped sequence number of ``status``, in this boot; the same of ``neighbours``, of its last part."""
     neighbours: tuple[NeighbourEntry, ...] | None = None
+    neighbours_number: int | None = None
     parts: dict[int, tuple[int, Neighbours]] = field(default_factory=dict)
 
     def memory(self) -> NodeMemory:
@@ -69,6 +76,7 @@ class NodeBook:
 
     gateway: str
     _nodes: dict[NodeId, Node] = field(default_factory=dict)
+    _duplicates: set[tuple[NodeId, int, int]] = field(default_factory=set)
 
     def heard(
         self,
@@ -100,6 +108,7 @@ class NodeBook:
         if known.boot != boot:
             known.is_introduced = False
             known.parts.clear()
+            known.status_number = known.neighbours_number = None
             known.boot = boot
         known.radio, known.address = radio, address
         known.last_heard_ns, known.last_heard_wall_ns = now_ns, now_wall_ns
@@ -136,6 +145,33 @@ class NodeBook:
             firmware=node.firmware,
         )
 
+    def take_status(self, node: Node, status: Status, *, number: int) -> bool:
+        """Take a status by the unwrapped number of its message; False for one older than what is known."""
+        if node.status_number is not None and number < node.status_number:
+            return False
+        node.status, node.status_number = status, number
+        return True
+
+    def introduce(self, node: Node, hello: Hello) -> int | None:
+        """Take note of a biobot's hello.
+
+        Returns
+        -------
+        int or None
+            EUI-64 of another device that had this biobot's number before; told once of each pair.
+        """
+        other = node.eui64
+        pair = (node.node, min(other, hello.eui64), max(other, hello.eui64))
+        node.is_introduced = True
+        node.eui64 = hello.eui64
+        node.firmware = hello.firmware
+        node.beacon_period_ms = hello.beacon_period_ms
+        node.capabilities = hello.capabilities
+        if other in {0, hello.eui64} or pair in self._duplicates or len(self._duplicates) >= _MAX_DUPLICATES:
+            return None
+        self._duplicates.add(pair)
+        return other
+
     def take_neighbours(self, node: Node, part: Neighbours, *, number: int, wall_ns: Nanoseconds) -> NeighbourReport | None:
         """Take a part of a neighbour report; return the whole when its last part has come.
 
@@ -156,6 +192,9 @@ class NodeBook:
             return None
         for index in range(part.n_parts):
             del node.parts[first + index]
+        if node.neighbours_number is not None and first < node.neighbours_number:
+            return None  # it was repeated, and a later report came before it
+        node.neighbours_number = first + part.n_parts - 1
         strongest: dict[NodeId, RssiDbm] = {}
         for one in (neighbour for member in found for neighbour in member.neighbours):
             strongest[one.node] = max(one.rssi_dbm, strongest.get(one.node, one.rssi_dbm))
@@ -186,15 +225,6 @@ class NodeBook:
                 beacon_period_ms=memory.beacon_period_ms,
                 capabilities=memory.capabilities,
             )
-
-
-def introduce(node: Node, hello: Hello) -> None:
-    """Take note of a biobot's hello."""
-    node.is_introduced = True
-    node.eui64 = hello.eui64
-    node.firmware = hello.firmware
-    node.beacon_period_ms = hello.beacon_period_ms
-    node.capabilities = hello.capabilities
 
 
 def mode_of(mode: WireMode) -> Mode:

@@ -18,7 +18,7 @@ class SequenceWindow:
 
     next: int = 0
     n_skipped: int = 0
-    """Numbers below ``next`` that never came here: an earlier journal, or another gateway, acknowledged them."""
+    """Numbers from 0 to ``next`` that never came here: an earlier journal, or another gateway, acknowledged them."""
     is_fresh: bool = True
     _above: set[int] = field(default_factory=set)
 
@@ -35,7 +35,10 @@ class SequenceWindow:
 
     def add(self, number: int) -> None:
         """Take ``number``."""
-        self.is_fresh = False
+        if self.is_fresh:
+            # Those up to 32 below may yet come, also from before a wrap of the 16 bits: then their full numbers are negative.
+            self.is_fresh, self.next = False, number - ACKNOWLEDGE_SPAN
+            self.n_skipped = max(0, self.next)
         if self.has(number):
             return
         self._above.add(number)
@@ -47,7 +50,7 @@ class SequenceWindow:
             else:  # go straight to the next number that is known, or to the lowest one outstanding
                 target = min((known for known in self._above if known > self.next), default=lowest)
                 target = min(target, lowest)
-                self.n_skipped += target - self.next
+                self.n_skipped += max(0, target) - max(0, self.next)
                 self.next = target
 
     def acknowledgement(self) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, StimulationRequest
-from firmware_protocol.units import NS_PER_S, Nanoseconds
+from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
 from gateway.bus import Bus, CommandAnswer
 from gateway.clocks import ClockBook
@@ -77,7 +77,8 @@ class Service:
             gateway=config.name,
             journal=journal.journal_id,
             boot=journal.boot,
-            wall_anchor_ns=Nanoseconds(time.time_ns() - now_ns),
+            wall_anchor_ns=journal.identity.wall_anchor_ns,
+            earlier_anchors=journal.identity.earlier_anchors,
         )
         reader = journal.reader()
         nodes = NodeBook(gateway=config.name)
@@ -99,6 +100,7 @@ class Service:
                 on_radio=intake.take,
                 config=config.link,
                 health=health,
+                first_session=journal.identity.first_session,
                 on_state=partial(self._on_radio_state, bus),
             )
             for name, open_port in ports.items()
@@ -121,6 +123,7 @@ class Service:
                 on_status=bus.publish_node_status,
                 on_neighbours=bus.publish_neighbours,
                 on_reply=gate.on_reply,
+                on_duplicate=partial(self._on_duplicate, bus),
                 on_unknown_clock=inquirer.wake,
             )
         )
@@ -176,6 +179,11 @@ class Service:
     def _on_radio_state(self, bus: Bus, radio: str, state: RadioState, reason: str) -> None:
         level = "info" if state is RadioState.UP else "warning"
         self._publish_event(bus, level=level, kind=f"radio.{state.value}", facts={"radio": radio, "reason": reason})
+
+    def _on_duplicate(self, bus: Bus, node: NodeId, before: int, after: int) -> None:
+        facts = {"node": str(node), "eui64_before": f"{before:016x}", "eui64": f"{after:016x}"}
+        _log.warning("node.duplicate", **facts)
+        self._publish_event(bus, level="warning", kind="node.duplicate", facts=facts)
 
     def _on_journal_fault(self, bus: Bus, reason: str | None) -> None:
         level, kind = ("info", "journal.recovered") if reason is None else ("error", "journal.fault")

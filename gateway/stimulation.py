@@ -6,7 +6,9 @@ command is ever sent twice: without an answer its outcome is unknown, and says s
 """
 
 import asyncio
+import contextlib
 import secrets
+import sqlite3
 import time
 from collections import OrderedDict
 from collections.abc import Callable
@@ -22,6 +24,7 @@ from firmware_protocol.contract.records import (
     decode_record,
     encode_record,
 )
+from firmware_protocol.errors import RecordError
 from firmware_protocol.messages import Action, Stimulate, StimulateReply, StimulationResult
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, Nanoseconds, NodeId
 from gateway.config import StimulationTable
@@ -43,6 +46,10 @@ _COMMIT_TIMEOUT_S = 1.0
 """A command that is not on disk after this is refused: the disk is full or broken."""
 
 _MAX_TTL_MS = 0xFFFF
+_MAX_NODE = 0xFFFE  # WIRE_FORMAT.md §1; 0xFFFF is everybody
+_SENT_AGAIN = "sent_again"
+"""Audit row of a STOP that was sent once more: a train that counts, and no stage that anybody is told."""
+
 _CAN_BE_STIMULATED = 1  # WIRE_FORMAT.md §5.2, capabilities bit 0
 _ACTIONS = {
     StimulationAction.START: Action.START,
@@ -100,7 +107,26 @@ class StimulationGate:
 
     async def handle(self, request: StimulationRequest, listener: StageListener) -> None:
         """Take a command; ``listener`` hears each stage, the last one final. A known id is answered again, not obeyed again."""
-        known = self._running.get(request.command_id) or self._finished.get(request.command_id) or self._recall(request.command_id)
+        try:
+            await self._handle(request, listener)
+        except Exception as error:  # noqa: BLE001  # one command's fault must not end the gateway, which stops the other animals
+            self._health.count("command.broken")
+            reason = f"{type(error).__name__}: {error}"
+            _log.error("command.broken", command=request.command_id, node=request.node, action=request.action.value, reason=reason)
+            with contextlib.suppress(Exception):  # the listener may be what is broken
+                listener(self._stage(request, Stage.UNKNOWN, reason=f"the gateway failed at it ({reason}); it may have been obeyed"))
+
+    async def _handle(self, request: StimulationRequest, listener: StageListener) -> None:
+        try:
+            known = self._running.get(request.command_id) or self._finished.get(request.command_id) or self._recall(request.command_id)
+        except (sqlite3.Error, RecordError) as error:
+            self._health.count("command.unread_journal")
+            _log.error("command.unread_journal", command=request.command_id, action=request.action.value, reason=str(error))
+            if request.action is not StimulationAction.STOP:
+                reason = f"the journal cannot be read ({error}), so it is not known whether this command was obeyed before"
+                listener(self._stage(request, Stage.REFUSED, reason=reason))
+                return
+            known = None  # to stop once more does no harm
         if known is not None:
             self._health.count("command.repeated")
             if not _is_same(known.request, request):
@@ -109,8 +135,9 @@ class StimulationGate:
                 return
             for stage in list(known.stages):
                 listener(stage)
-            known.listeners.append(listener)
-            await known.finished.wait()
+            if not known.finished.is_set():
+                known.listeners.append(listener)
+                await known.finished.wait()
             return
         command = _Command(request=request, listeners=[listener])
         self._running[request.command_id] = command
@@ -153,15 +180,21 @@ class StimulationGate:
         reason = ""
         for attempt in range(self._config.stop_attempts):
             sending: asyncio.Future[RadioOutcome] | None = None
+            train_ms = 0
             try:
                 sending = self._sender.send(command.request.node, message, is_urgent=True)
                 was_sent = True
+                # Firmware that stops by a train gives one for each frame: it is never refused, but what follows it waits.
+                train_ms = self._config.duration_ms
+                self._ledger.admit(command.request.node, train_ms=train_ms, at_ns=time.monotonic_ns())
             except RadioUnavailableError as error:
                 reason = str(error)
             if attempt == 0:
-                self._tell_now(command, Stage.ACCEPTED)
+                self._tell_now(command, Stage.ACCEPTED, train_ms=train_ms)
             else:
                 self._health.count("command.stop_repeated")
+                if train_ms:
+                    self._audit(command, command.stages[0], train_ms=train_ms, row=_SENT_AGAIN)
             if await self._await_answer(command, sending, timeout_s=self._config.stop_retry_s, is_stop=True):
                 return
         if was_sent:
@@ -219,9 +252,10 @@ class StimulationGate:
 
     def _refusal(self, request: StimulationRequest) -> str | None:
         """Return why a command is not admitted, or None. Of a STOP nothing but an address is asked."""
-        node = self._nodes.find(request.node)
+        node = self._nodes.find(request.node) if request.node <= _MAX_NODE else None
         if node is None:
-            return f"biobot {request.node} is not known here: it was never heard by this gateway"
+            why = "it was never heard by this gateway" if request.node <= _MAX_NODE else f"the largest number of a biobot is {_MAX_NODE}"
+            return f"biobot {request.node} is not known here: {why}"
         if request.action is StimulationAction.STOP:
             return None
         if node.is_introduced and not node.capabilities & _CAN_BE_STIMULATED:
@@ -260,17 +294,17 @@ class StimulationGate:
         committed = self._audit(command, told, train_ms=train_ms)
         if committed is not None:
             await asyncio.wait({committed}, timeout=_COMMIT_TIMEOUT_S)
-        if committed is None or not committed.done():
+        if committed is None or not committed.done() or committed.exception() is not None:
             if not told.is_final:
                 return False
             _log.error("command.not_journaled", command=told.command_id, stage=stage.value)
         self._announce(command, told)
         return True
 
-    def _tell_now(self, command: _Command, stage: Stage, *, reason: str = "", mode: Mode | None = None) -> None:
+    def _tell_now(self, command: _Command, stage: Stage, *, reason: str = "", mode: Mode | None = None, train_ms: int = 0) -> None:
         """Tell a stage and journal it, without waiting for the disk: the animal has been, or must be, acted on already."""
         told = self._stage(command.request, stage, reason=reason, mode=mode)
-        self._audit(command, told, train_ms=0)
+        self._audit(command, told, train_ms=train_ms)
         self._announce(command, told)
 
     def _announce(self, command: _Command, stage: CommandStage) -> None:
@@ -281,12 +315,12 @@ class StimulationGate:
         for listener in command.listeners:
             listener(stage)
 
-    def _audit(self, command: _Command, stage: CommandStage, *, train_ms: int) -> "asyncio.Future[None] | None":
+    def _audit(self, command: _Command, stage: CommandStage, *, train_ms: int, row: str | None = None) -> "asyncio.Future[None] | None":
         entry = AuditEntry(
-            wall_ns=stage.wall_ns,
+            wall_ns=self._wall_clock(),
             command_id=stage.command_id,
             wire_command=command.wire_command,
-            stage=stage.stage.value,
+            stage=row or stage.stage.value,
             node=stage.node,
             train_ms=train_ms,
             request=encode_record(command.request),
@@ -323,7 +357,7 @@ class StimulationGate:
 
     def _recall(self, command_id: str) -> _Command | None:
         """Return a command of the journal, with a final stage even where the gateway stopped before one was known."""
-        entries = self._reader.read_audit(command_id=command_id)
+        entries = [entry for entry in self._reader.read_audit(command_id=command_id) if entry.stage != _SENT_AGAIN]
         if not entries:
             return None
         request = decode_record(entries[0].request, StimulationRequest)

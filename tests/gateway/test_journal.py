@@ -1,6 +1,8 @@
 """Laws of the journal, on real files."""
 
 import asyncio
+import contextlib
+import dataclasses
 import os
 import signal
 import sqlite3
@@ -8,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,12 +19,13 @@ from firmware_protocol.units import BootId, Nanoseconds, NodeId
 from gateway.errors import JournalUnfitError
 from gateway.health import Health
 from gateway.journal import Journal
-from gateway.journal_file import JournalWrite, UplinkReport
+from gateway.journal_file import SESSIONS_PER_START, AuditEntry, JournalFile, JournalWrite, UplinkReport, open_journal_file
 from tests.gateway.fake_radio import until
 
 _CHILD = """
 import asyncio, sys
 from pathlib import Path
+from typing import Any
 from gateway.health import Health
 from gateway.journal import Journal
 from tests.gateway.test_journal import a_write
@@ -189,3 +193,83 @@ def test_a_file_that_is_no_journal_is_refused_and_left_alone(tmp_path: Path) -> 
             Journal.open(path, health=Health())
         assert str(path) in str(caught.value)
         assert before is None or path.read_bytes() == before
+
+
+class _LosesAnAnswer(sqlite3.Connection):
+    """A disk whose first COMMIT gets through, but says that it did not."""
+
+    has_lied = False
+
+    def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
+        cursor = super().execute(sql, *values)
+        if sql == "COMMIT" and not self.has_lied:
+            self.has_lied = True
+            raise sqlite3.OperationalError("disk I/O error")
+        return cursor
+
+
+def _an_audit(node: int) -> AuditEntry:
+    return AuditEntry(wall_ns=1, command_id="c", wire_command=None, stage="refused", node=NodeId(node), train_ms=0, request=b"", body=b"")
+
+
+def test_a_commit_that_got_through_and_said_it_did_not_is_not_repeated(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    made = open_journal_file(path, now_wall_ns=10**18, now_ns=0, machine_boot="")
+    with contextlib.closing(sqlite3.connect(path, factory=_LosesAnAnswer, check_same_thread=False, isolation_level=None)) as connection:
+        journal = Journal(path=path, file=JournalFile(connection=connection, lock=made._lock, identity=made.identity), health=Health())
+
+        async def story() -> None:
+            async with asyncio.TaskGroup() as tasks:
+                running = tasks.create_task(journal.run())
+                first = a_write(journal, 0)
+                await journal.append(JournalWrite(records=first.records, report=first.report, audit=_an_audit(1)))
+                await journal.append(a_write(journal, 1))
+                running.cancel()
+
+        asyncio.run(story())
+        counts = [connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0] for table in ("entries", "audit", "reports")]
+        assert counts == [2, 1, 2]
+        journal.close()
+    made.close()
+
+
+def test_a_write_that_can_never_be_stored_costs_itself_alone_and_leaves_no_gap(tmp_path: Path) -> None:
+    async def story(journal: Journal) -> None:
+        good = a_write(journal, 0)
+        bad = a_write(journal, 1)
+        assert bad.report is not None
+        futures = [journal.append(good)]
+        futures.append(journal.append(JournalWrite(records=bad.records, report=dataclasses.replace(bad.report, address=1 << 63))))
+        futures.append(journal.append(a_write(journal, 2)))
+        done, _ = await asyncio.wait(futures)
+        assert [type(future.exception()) for future in futures] == [type(None), OverflowError, type(None)]
+        assert len(done) == 3
+        await journal.drain()
+        assert journal.head_offset == 2
+        reader = journal.reader()
+        assert [record.sequence for record in reader.read_records(from_offset=1, limit=9)[0]] == [0, 2]
+        reader.close()
+
+    _with_journal(tmp_path / "j", story)
+
+
+def test_an_audited_node_of_any_size_is_stored(tmp_path: Path) -> None:
+    _with_journal(tmp_path / "j", lambda journal: journal.append(JournalWrite(audit=_an_audit((1 << 64) - 1))))
+
+
+def test_starts_have_session_numbers_of_their_own(tmp_path: Path) -> None:
+    numbers: list[int] = []
+    for _ in range(20):
+        file = open_journal_file(tmp_path / "j", now_wall_ns=10**18, now_ns=0, machine_boot="")
+        numbers += [(file.identity.first_session + at) % (1 << 16) for at in range(SESSIONS_PER_START)]
+        file.close()
+    assert len(set(numbers)) == len(numbers)
+
+
+def test_a_start_knows_the_anchors_of_those_before_it_since_the_machine_booted(tmp_path: Path) -> None:
+    known = []
+    for machine_boot, now_wall_ns in (("a", 1000), ("a", 5000), ("a", 900), ("b", 700), ("", 600), ("", 500)):
+        file = open_journal_file(tmp_path / "j", now_wall_ns=now_wall_ns, now_ns=100, machine_boot=machine_boot)
+        known.append(file.identity.earlier_anchors)
+        file.close()
+    assert known == [(), (900,), (900, 4900), (), (), ()]

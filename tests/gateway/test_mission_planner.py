@@ -71,7 +71,7 @@ def test_the_share_counts_all_that_were_heard() -> None:
 
 def test_a_resumed_exploration_chooses_no_new_landmarks_and_ends_when_it_would_have() -> None:
     planner = MissionPlanner(config=MissionTable(exploration_s=100))
-    planner.resume(MissionPhase.EXPLORATION, since_ns=5 * NS_PER_S, standing={NodeId(1), NodeId(2)})
+    planner.resume(MissionPhase.EXPLORATION, since_ns=5 * NS_PER_S, now_ns=90 * NS_PER_S, standing={NodeId(1), NodeId(2)})
 
     assert planner.tick(now_ns=104 * NS_PER_S, known=_ALL, adjacency=_ROW) == []
     (step,) = planner.tick(now_ns=106 * NS_PER_S, known=_ALL, adjacency=_ROW)
@@ -83,7 +83,7 @@ def test_a_resumed_exploration_chooses_no_new_landmarks_and_ends_when_it_would_h
 
 def test_a_resumed_selection_counts_those_that_stand_already() -> None:
     planner = MissionPlanner(config=MissionTable(n_landmarks=3, selection_timeout_s=0.1))
-    planner.resume(MissionPhase.LANDMARK_SELECTION, since_ns=0, standing={NodeId(4), NodeId(7)})
+    planner.resume(MissionPhase.LANDMARK_SELECTION, since_ns=0, now_ns=0, standing={NodeId(4), NodeId(7)})
 
     (first,) = _picks(planner.tick(now_ns=NS_PER_S, known=_ALL, adjacency=_ROW))
     planner.settle(first, is_standing=True)
@@ -96,9 +96,21 @@ def test_a_resumed_selection_counts_those_that_stand_already() -> None:
 
 def test_after_a_mission_that_was_done_the_next_one_begins() -> None:
     planner = MissionPlanner(config=MissionTable())
-    planner.resume(MissionPhase.DONE, since_ns=0, standing={NodeId(1)})
+    planner.resume(MissionPhase.DONE, since_ns=0, now_ns=0, standing={NodeId(1)})
 
     (step,) = planner.tick(now_ns=0, known=_ALL, adjacency=_ROW)
 
     assert isinstance(step, EnterPhase)
     assert step.phase is MissionPhase.DISPERSION
+    assert step.reason.endswith("1 biobots still stand by command")
+
+
+def test_a_resumed_selection_waits_from_its_own_start_and_never_picks_among_nobody() -> None:
+    planner = MissionPlanner(config=MissionTable(n_landmarks=5, selection_timeout_s=30))
+    planner.resume(MissionPhase.LANDMARK_SELECTION, since_ns=0, now_ns=1000 * NS_PER_S, standing=set())
+
+    one = {NodeId(1): _ROW[NodeId(1)]}
+    assert planner.tick(now_ns=1001 * NS_PER_S, known=_ALL, adjacency=one) == []
+    assert planner.tick(now_ns=1031 * NS_PER_S, known=set(), adjacency={}) == []
+    assert planner.phase is MissionPhase.LANDMARK_SELECTION
+    assert len(_picks(planner.tick(now_ns=1032 * NS_PER_S, known=_ALL, adjacency=_ROW))) == 5

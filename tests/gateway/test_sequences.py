@@ -55,4 +55,15 @@ def test_a_repeated_number_is_known_and_changes_nothing() -> None:
     before = window.acknowledgement()
     window.add(1)
     window.add(3)
-    assert window.acknowledgement() == before == (2, 1)
+    assert window.acknowledgement() == before
+    assert [number for number in range(33) if _says(window, number)] == [0, 1, 3]
+
+
+def test_a_window_that_begins_just_after_the_wrap_takes_what_was_sent_before_it() -> None:
+    window = SequenceWindow()
+    for sequence in (2, 3, 65533, 65534, 65535, 0, 1):
+        number = window.unwrap(sequence)
+        assert not window.has(number)
+        window.add(number)
+        assert _says(window, sequence)
+    assert window.n_skipped == 0

@@ -1,0 +1,54 @@
+"""Laws of the gateway's door to Zenoh, between two real sessions."""
+
+import asyncio
+import time
+from pathlib import Path
+
+import zenoh
+
+from firmware_protocol.contract.keys import Stream, build_key
+from firmware_protocol.contract.records import StimulationAction, StimulationRequest, encode_record
+from gateway.bus import Bus, CommandAnswer
+from gateway.health import Health
+from gateway.journal import Journal
+from tests.gateway.fake_radio import until
+from tests.gateway.harness import a_config, a_request, peer_config
+
+
+def test_a_stop_passes_where_as_many_commands_wait_as_may(tmp_path: Path) -> None:
+    async def story() -> None:
+        health = Health()
+        config = a_config(tmp_path)
+        journal = Journal.open(tmp_path / "j", health=health)
+        bus = await asyncio.to_thread(Bus.open, config, health=health)
+        taken: list[StimulationRequest] = []
+
+        def take(request: StimulationRequest, _answer: CommandAnswer) -> None:
+            taken.append(request)
+
+        bus.start(on_command=take, open_reader=journal.reader, journal=journal.journal_id)
+        key = build_key(site="test", stream=Stream.COMMAND, gateway="base1")
+        with zenoh.open(peer_config(config.listen[0])) as peer:
+
+            def ask(action: StimulationAction) -> None:
+                peer.get(key, lambda _: None, payload=encode_record(a_request(7, action)), timeout=10.0)
+
+            while not taken:  # until the peer has found the gateway
+                await asyncio.to_thread(ask, StimulationAction.TURN_LEFT)
+                await asyncio.sleep(0.02)
+            taken.clear()
+            # From here on the loop is held, so that commands wait, until Zenoh's thread has refused one.
+            for _ in range(300):
+                ask(StimulationAction.START)
+            deadline_s = time.monotonic() + 10.0
+            while not health.counters().get("bus.refused_queries") and time.monotonic() < deadline_s:
+                time.sleep(0.01)  # noqa: ASYNC251  # to hold the loop is the point
+            ask(StimulationAction.STOP)
+            while len(bus._commands) < 257 and time.monotonic() < deadline_s:
+                time.sleep(0.01)  # noqa: ASYNC251  # same
+            assert health.counters()["bus.refused_queries"] > 0
+            await until(lambda: any(request.action is StimulationAction.STOP for request in taken), what="the stop is handed over")
+        await asyncio.to_thread(bus.close)
+        journal.close()
+
+    asyncio.run(story())

@@ -1,0 +1,149 @@
+"""Laws of a gateway that was killed and starts again, and of one whose journal cannot be read."""
+
+import asyncio
+import time
+from pathlib import Path
+
+from firmware_protocol.contract.records import EncounterRecord, MissionPhase, MissionRecord
+from firmware_protocol.message_codec import encode_uplink
+from firmware_protocol.messages import EncounterBatch, EncounterEntry, UplinkHeader
+from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from gateway.clocks import ClockBook
+from gateway.config import MissionTable, StimulationTable
+from gateway.downlink import DownlinkSender
+from gateway.health import Health
+from gateway.intake import Intake, IntakeListeners
+from gateway.issuer import RecordIssuer
+from gateway.journal import Journal
+from gateway.journal_file import JournalWrite
+from gateway.mission import Mission
+from gateway.nodes import NodeBook, NodeMemory
+from gateway.radio import RadioMessage
+from gateway.stimulation import StimulationGate
+from tests.gateway.fake_radio import until
+
+
+def _issuer_of(journal: Journal) -> RecordIssuer:
+    return RecordIssuer(gateway="g", journal=journal.journal_id, boot=journal.boot, wall_anchor_ns=journal.identity.wall_anchor_ns)
+
+
+def test_a_restart_at_the_end_of_dispersion_waits_for_the_biobots_it_knew(tmp_path: Path) -> None:
+    async def story() -> None:
+        health, nodes = Health(), NodeBook(gateway="g")
+        journal = Journal.open(tmp_path / "j", health=health)
+        issuer, reader = _issuer_of(journal), journal.reader()
+        running = asyncio.ensure_future(journal.run())
+        begun = MissionRecord(
+            gateway="g",
+            journal=journal.journal_id,
+            offset=1,
+            boot=journal.boot,
+            sequence=issuer.take_sequence(),
+            revision=0,
+            wall_anchor_ns=issuer.wall_anchor_ns,
+            phase=MissionPhase.DISPERSION,
+            t_start_ns=Nanoseconds(time.monotonic_ns() - 61 * NS_PER_S),
+        )
+        await journal.append(JournalWrite(records=(begun,)))
+        nodes.restore(
+            NodeMemory(
+                node=NodeId(node),
+                boot=BootId(1),
+                radio="r",
+                address=ShortAddress(node),
+                eui64=node,
+                firmware=1,
+                beacon_period_ms=0,
+                capabilities=1,
+                is_introduced=True,
+            )
+            for node in range(1, 21)
+        )
+        gate = StimulationGate(
+            gateway="g",
+            config=StimulationTable(),
+            sender=DownlinkSender(coordinators={}, nodes=nodes),
+            nodes=nodes,
+            journal=journal,
+            reader=reader,
+            health=health,
+        )
+        mission = Mission(
+            config=MissionTable(is_enabled=True, dispersion_s=60),
+            issuer=issuer,
+            journal=journal,
+            reader=reader,
+            nodes=nodes,
+            gate=gate,
+            health=health,
+        )
+        exploring = asyncio.ensure_future(mission.run())
+        await until(lambda: journal.head_offset >= 2, what="the selection begins")
+        one = nodes.find(NodeId(1))
+        assert one is not None
+        one.last_heard_ns, one.neighbours = time.monotonic_ns(), ()
+        await asyncio.sleep(0.5)  # five ticks of the mission
+        phases = [record.phase for record in reader.read_records(from_offset=1, limit=9)[0] if isinstance(record, MissionRecord)]
+        assert phases == [MissionPhase.DISPERSION, MissionPhase.LANDMARK_SELECTION]
+        assert "mission.landmarks_failed" not in health.counters()
+        for task in (exploring, running):
+            task.cancel()
+        await asyncio.wait({exploring, running})
+        reader.close()
+        journal.close()
+
+    asyncio.run(story())
+
+
+def test_a_late_encounter_is_taken_where_the_journal_cannot_be_read(tmp_path: Path) -> None:
+    async def story() -> None:
+        health, now_ns = Health(), time.monotonic_ns()
+        journal = Journal.open(tmp_path / "j", health=health)
+        reader, nodes = journal.reader(), NodeBook(gateway="g")
+        intake = Intake(
+            issuer=_issuer_of(journal),
+            journal=journal,
+            reader=reader,
+            nodes=nodes,
+            clocks=ClockBook(window_ns=600 * NS_PER_S),
+            health=health,
+            window_s=60,
+            now_ns=now_ns,
+        )
+        intake.connect(
+            IntakeListeners(
+                on_committed=lambda _: None,
+                on_status=lambda _: None,
+                on_neighbours=lambda _: None,
+                on_reply=lambda _node, _reply: None,
+                on_duplicate=lambda _node, _before, _after: None,
+                on_unknown_clock=lambda: None,
+            )
+        )
+        reader.close()
+        running = asyncio.ensure_future(journal.run())
+        heard: list[object] = []
+        journal.listen(lambda records, _: heard.extend(records))
+        entry = EncounterEntry(
+            peer=NodeId(2), start_ms=Milliseconds(1), duration_ms=Milliseconds(5), rssi_dbm=RssiDbm(-60), is_ongoing=False
+        )
+        for at_s in (1, 9):  # the second one comes when the clock is no longer waited for
+            header = UplinkHeader(node=NodeId(1), boot=BootId(1), sequence=0, sent_ms=Milliseconds(1000 * at_s + 60_000))
+            message = RadioMessage(
+                radio="r",
+                source=ShortAddress(1),
+                rssi_dbm=RssiDbm(-50),
+                lqi=1,
+                payload=encode_uplink(header, EncounterBatch(entries=(entry,))),
+                received_ns=now_ns + at_s * NS_PER_S,
+            )
+            done = intake.take(message)
+        assert done is not None
+        await done
+        assert health.counters()["encounter.unread_journal"] == 1
+        assert [type(record) for record in heard] == [EncounterRecord]
+        running.cancel()
+        await asyncio.wait({running})
+        journal.close()
+
+    asyncio.run(story())
