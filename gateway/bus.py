@@ -59,6 +59,7 @@ _MAX_STOPS = 4096
 _MAX_HISTORY_QUERIES = 16
 _HISTORY_PAGE = 500
 _DISCOVERY_S = 3.0
+_NAME_CHECK_S = 1.5
 _STATUS_POLL_S = 0.02
 
 _SETTINGS = {
@@ -134,9 +135,12 @@ class Bus:
         Raises
         ------
         BusError
-            An endpoint cannot be listened on, or is none.
+            An endpoint cannot be listened on, or is none; or a gateway of this name is alive at the site already.
         """
         session = _open_session(listen=config.listen, connect=config.connect)
+        if config.connect and _is_taken(session, build_key(site=config.site, stream=Stream.ALIVE, gateway=config.name)):
+            session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+            raise BusError(f"a gateway named {config.name!r} is alive at site {config.site!r} already; give this one another --name")
         return cls(session=session, site=config.site, gateway=config.name, health=health)
 
     def start(
@@ -374,6 +378,15 @@ def _open_session(*, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Ses
     except zenoh.ZError as error:
         reason = str(error).split(" at /")[0]  # Zenoh appends its own source locations
         raise BusError(f"Zenoh cannot listen on {list(listen)} and connect to {list(connect)}: {reason}") from error
+
+
+def _is_taken(session: zenoh.Session, key: str) -> bool:
+    """Whether somebody else holds a liveliness token; a session that was just opened learns of it once it is connected."""
+    heard = threading.Event()
+    subscriber = session.liveliness().declare_subscriber(key, lambda _sample: heard.set(), history=True)
+    is_taken = heard.wait(_NAME_CHECK_S)
+    subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+    return is_taken
 
 
 def _payload_of(query: zenoh.Query) -> bytes:

@@ -127,6 +127,8 @@ class Intake:
         if header.node == BROADCAST_NODE or self._journal.is_full:
             # Not acknowledged to the backpack, so it repeats what was dropped for want of room.
             self._health.count("message.nobodys" if header.node == BROADCAST_NODE else "message.no_room")
+            if isinstance(uplink, StimulateReply) and header.node != BROADCAST_NODE:
+                self._listeners_or_fail().on_reply(header.node, uplink)  # what an animal does is worth knowing without a disk too
             return None
         node, is_changed = self._note(message, header)
         clock = self._clocks.observe(node=header.node, boot=header.boot, sent_ms=header.sent_ms, received_ns=message.received_ns)

@@ -36,6 +36,9 @@ _log = EventLog(__name__)
 
 _TICK_S = 0.1
 _OPERATOR = "mission"
+_MAX_ATTEMPTS = 3
+_MIN_FAILURES = 10
+"""So many landmarks may fail before none is replaced any more, or as many as were wanted."""
 _RESTORED_MODES = 10_000
 
 
@@ -75,6 +78,7 @@ class MissionPlanner:
     _adjacency: dict[int, frozenset[NodeId]] | None = None
     _awaited: set[NodeId] = field(default_factory=set)
     _failed: set[NodeId] = field(default_factory=set)
+    _n_wanted: int = 0
 
     def resume(self, phase: MissionPhase, *, since_ns: int, now_ns: int, standing: set[NodeId]) -> None:
         """Go on with a mission that an earlier process had begun; one that was done is done, and the next one begins.
@@ -130,6 +134,9 @@ class MissionPlanner:
             self.confirmed.add(node)
             return []
         self._failed.add(node)
+        if len(self._failed) >= max(_MIN_FAILURES, self._n_wanted):
+            # So many silent animals are a fault of ours: each replacement may be one more that stands without our knowing.
+            return []
         replacement = self._next_best()
         if replacement is None:
             return []
@@ -146,6 +153,7 @@ class MissionPlanner:
             reported = adjacency or {node: frozenset[NodeId]() for node in known}
             self._adjacency = {int(node): heard for node, heard in reported.items()}
             wanted = self.config.n_landmarks or max(1, round(self.config.landmark_share * len(known)))
+            self._n_wanted = wanted
             picks = [NodeId(node) for node in select_landmarks(self._adjacency, count=min(wanted, len(self._adjacency)))]
             missing = [node for node in picks if node not in self.confirmed][: max(0, wanted - len(self.confirmed))]
             self._awaited = set(missing)
@@ -232,20 +240,35 @@ class Mission:
                     tasks.create_task(self._make_landmark(node, tasks))
 
     async def _make_landmark(self, node: NodeId, tasks: asyncio.TaskGroup) -> None:
+        """Stop a biobot and settle what came of it; while the disk takes nothing, answers do not come through, so it is asked again."""
+        attempt = 0
+        while True:
+            await self._wait_for_the_disk()
+            attempt += 1
+            outcome = await self._stop(node, attempt=attempt)
+            is_standing = outcome.stage is Stage.BIOBOT_CONFIRMED or self._reports_standing(node)
+            if is_standing or self._journal.fault is None or attempt >= _MAX_ATTEMPTS:
+                break
+        self._health.count("mission.landmarks" if is_standing else "mission.landmarks_failed")
+        if not is_standing:
+            _log.warning("mission.landmark_failed", node=node, outcome=outcome.stage.value, reason=outcome.reason)
+        self._take(self._planner.settle(node, is_standing=is_standing), tasks)
+
+    async def _wait_for_the_disk(self) -> None:
+        while self._journal.fault is not None:  # noqa: ASYNC110  # a mission can wait; nothing else needs the event
+            await asyncio.sleep(_TICK_S)
+
+    async def _stop(self, node: NodeId, *, attempt: int) -> CommandStage:
         request = StimulationRequest(
-            command_id=f"mission-{self._issuer.boot}-{node}",
+            command_id=f"mission-{self._issuer.boot}-{node}-{attempt}",
             node=node,
             action=StimulationAction.STOP,
             operator=_OPERATOR,
             issued_wall_ns=Nanoseconds(self._wall_clock()),
         )
-        outcome: list[CommandStage] = []
-        await self._gate.handle(request, outcome.append)
-        is_standing = outcome[-1].stage is Stage.BIOBOT_CONFIRMED or self._reports_standing(node)
-        self._health.count("mission.landmarks" if is_standing else "mission.landmarks_failed")
-        if not is_standing:
-            _log.warning("mission.landmark_failed", node=node, outcome=outcome[-1].stage.value, reason=outcome[-1].reason)
-        self._take(self._planner.settle(node, is_standing=is_standing), tasks)
+        stages: list[CommandStage] = []
+        await self._gate.handle(request, stages.append)
+        return stages[-1]
 
     def _reports_standing(self, node: NodeId) -> bool:
         known = self._nodes.find(node)

@@ -28,27 +28,29 @@ def test_a_stop_passes_where_as_many_commands_wait_as_may(tmp_path: Path) -> Non
 
         bus.start(on_command=take, open_reader=journal.reader, journal=journal.journal_id)
         key = build_key(site="test", stream=Stream.COMMAND, gateway="base1")
-        with zenoh.open(peer_config(config.listen[0])) as peer:
+        try:
+            with zenoh.open(peer_config(config.listen[0])) as peer:
 
-            def ask(action: StimulationAction) -> None:
-                peer.get(key, lambda _: None, payload=encode_record(a_request(7, action)), timeout=10.0)
+                def ask(action: StimulationAction) -> None:
+                    peer.get(key, lambda _: None, payload=encode_record(a_request(7, action)), timeout=10.0)
 
-            while not taken:  # until the peer has found the gateway
-                await asyncio.to_thread(ask, StimulationAction.TURN_LEFT)
-                await asyncio.sleep(0.02)
-            taken.clear()
-            # From here on the loop is held, so that commands wait, until Zenoh's thread has refused one.
-            for _ in range(300):
-                ask(StimulationAction.START)
-            deadline_s = time.monotonic() + 10.0
-            while not health.counters().get("bus.refused_queries") and time.monotonic() < deadline_s:
-                time.sleep(0.01)  # noqa: ASYNC251  # to hold the loop is the point
-            ask(StimulationAction.STOP)
-            while len(bus._commands) < 257 and time.monotonic() < deadline_s:
-                time.sleep(0.01)  # noqa: ASYNC251  # same
-            assert health.counters()["bus.refused_queries"] > 0
-            await until(lambda: any(request.action is StimulationAction.STOP for request in taken), what="the stop is handed over")
-        await asyncio.to_thread(bus.close)
-        journal.close()
+                while not taken:  # until the peer has found the gateway
+                    await asyncio.to_thread(ask, StimulationAction.TURN_LEFT)
+                    await asyncio.sleep(0.02)
+                taken.clear()
+                # From here on the loop is held, so that commands wait, until Zenoh's thread has refused one.
+                for _ in range(300):
+                    ask(StimulationAction.START)
+                deadline_s = time.monotonic() + 10.0
+                while not health.counters().get("bus.refused_queries") and time.monotonic() < deadline_s:
+                    time.sleep(0.01)  # noqa: ASYNC251  # to hold the loop is the point
+                ask(StimulationAction.STOP)
+                while len(bus._commands) < 257 and time.monotonic() < deadline_s:
+                    time.sleep(0.01)  # noqa: ASYNC251  # same
+                assert health.counters()["bus.refused_queries"] > 0
+                await until(lambda: any(request.action is StimulationAction.STOP for request in taken), what="the stop is handed over")
+        finally:
+            await asyncio.to_thread(bus.close)
+            journal.close()
 
     asyncio.run(story())

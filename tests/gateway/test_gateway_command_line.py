@@ -140,6 +140,21 @@ def test_a_configuration_can_be_checked_without_a_command(tmp_path: Path) -> Non
     assert "sight" in result.stderr
 
 
+def test_a_second_gateway_of_the_same_name_at_a_site_is_refused(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "gateway", "run", "--port", "tcp:127.0.0.1:1", "--listen", endpoint]
+    with subprocess.Popen(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(_ROOT)}, stderr=subprocess.DEVNULL) as gateway:
+        try:
+            assert _gateway("status", "--connect", endpoint, cwd=tmp_path).returncode == 0
+            other = ["run", "--port", "tcp:127.0.0.1:1", "--journal", "b.sqlite", "--listen", f"tcp/127.0.0.1:{free_port()}"]
+            result = _gateway(*other, "--connect", endpoint, cwd=tmp_path)
+        finally:
+            gateway.send_signal(signal.SIGTERM)
+
+    assert result.returncode == 1
+    assert "another --name" in result.stderr
+
+
 def test_no_command_is_bad_usage(tmp_path: Path) -> None:
     result = _gateway(cwd=tmp_path)
 

@@ -114,3 +114,21 @@ def test_a_resumed_selection_waits_from_its_own_start_and_never_picks_among_nobo
     assert planner.tick(now_ns=1031 * NS_PER_S, known=set(), adjacency={}) == []
     assert planner.phase is MissionPhase.LANDMARK_SELECTION
     assert len(_picks(planner.tick(now_ns=1032 * NS_PER_S, known=_ALL, adjacency=_ROW))) == 5
+
+
+def test_a_selection_in_which_nobody_answers_ends_instead_of_stopping_everyone() -> None:
+    """With 3 landmarks wanted among 60, ten failures end the replacing; at most two more were under way by then."""
+    everyone = {NodeId(node) for node in range(1, 61)}
+    row = {node: frozenset({NodeId(node - 1), NodeId(node + 1)}) & frozenset(everyone) for node in everyone}
+    planner = MissionPlanner(config=MissionTable(n_landmarks=3, dispersion_s=0))
+    waiting: list[NodeId] = []
+    for now_s in range(3):
+        waiting += _picks(planner.tick(now_ns=now_s * NS_PER_S, known=everyone, adjacency=row))
+    assert len(waiting) == 3
+    asked = list(waiting)
+    while waiting:
+        more = _picks(planner.settle(waiting.pop(), is_standing=False))
+        waiting += more
+        asked += more
+
+    assert 10 <= len(asked) <= 12
