@@ -69,6 +69,7 @@ class StimulationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     ----
     min_gap_s, window_s, max_trains, max_on_s
         Limits for each biobot: pause between two trains; and in any window, how many trains and how much stimulation.
+        A stop is a train too: it is never refused, and counts for what follows.
         They may be made stricter than the defaults, never looser.
     frequency_hz, amplitude_mv, pulse_width_us, duration_ms
         The pulse train. 50 Hz, 2 V bipolar and 0.5 s: Erickson et al., PLoS ONE 2015, e0134348, best of those tried on
