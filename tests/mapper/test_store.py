@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 import textwrap
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -54,17 +55,16 @@ def content(store: Store) -> object:
 
 @given(data=st.data(), records=journals())
 def test_order_duplication_and_batching_never_change_the_content(data: st.DataObject, records: list[JournalRecord]) -> None:
-    straight, shuffled = Store(None), Store(None)
-    straight.apply([batch(records)])
-    order = data.draw(st.permutations(records + data.draw(st.lists(st.sampled_from(records), max_size=10))))
-    while order:
-        size = data.draw(st.integers(1, len(order)))
-        shuffled.apply([batch(order[:size])])
-        order = order[size:]
-    assert content(shuffled) == content(straight)
-    assert shuffled.watermark(**SOURCE) == straight.watermark(**SOURCE) == len(records)
-    straight.close()
-    shuffled.close()
+    # closing: Hypothesis may give an example up in the middle of a draw.
+    with closing(Store(None)) as straight, closing(Store(None)) as shuffled:
+        straight.apply([batch(records)])
+        order = data.draw(st.permutations(records + data.draw(st.lists(st.sampled_from(records), max_size=10))))
+        while order:
+            size = data.draw(st.integers(1, len(order)))
+            shuffled.apply([batch(order[:size])])
+            order = order[size:]
+        assert content(shuffled) == content(straight)
+        assert shuffled.watermark(**SOURCE) == straight.watermark(**SOURCE) == len(records)
 
 
 @given(records=journals())
