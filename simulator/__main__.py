@@ -1,7 +1,6 @@
 """Command line of the simulator: ``run`` writes a run's files, ``serve`` stands in for a dongle, ``scenarios`` lists what there is."""
 
 import argparse
-import json
 import os
 import signal
 import sys
@@ -48,12 +47,15 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
 
         return serve.main(args)
     if args.command == "scenarios":
-        _list_scenarios(as_json=args.json)
+        from simulator.listing import list_scenarios  # noqa: PLC0415
+
+        print(list_scenarios(as_json=args.json))
         return 0
     if args.command == "run" or args.check_config:
         config = load_config(RunConfig, args)
         if args.check_config:
-            from simulator.scenarios import find_preset, find_scenario  # noqa: PLC0415
+            from simulator.presets import find_preset  # noqa: PLC0415
+            from simulator.scenarios import find_scenario  # noqa: PLC0415
 
             find_preset(config.preset)
             if config.scenario is not None:
@@ -69,56 +71,6 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         return 0
     parser.print_usage(sys.stderr)
     return _complain(["give a command: run, serve or scenarios"], status=_EXIT_USAGE)
-
-
-def _list_scenarios(*, as_json: bool) -> None:
-    from simulator.scenarios import DEFAULT_PRESET, PRESETS, SCENARIOS  # noqa: PLC0415
-
-    built = {name: scenario.build(PRESETS[DEFAULT_PRESET]) for name, scenario in SCENARIOS.items()}
-    if as_json:
-        scenarios = [
-            {
-                "name": name,
-                "summary": SCENARIOS[name].summary,
-                "betti_numbers": [arena.betti.components, arena.betti.holes],
-                "free_area_share": arena.area / PRESETS[DEFAULT_PRESET].side ** 2,
-            }
-            for name, arena in built.items()
-        ]
-        presets = [
-            {
-                "name": preset.name,
-                "summary": preset.summary,
-                "default": preset.name == DEFAULT_PRESET,
-                "unit_of_length": preset.unit,
-                "values": {
-                    "side": preset.side,
-                    "speed": preset.motion.speed,
-                    "mean_leg": preset.motion.mean_leg,
-                    "detection": preset.ranges.detection,
-                    "communication": preset.ranges.communication,
-                    "biobots": preset.biobots,
-                    "landmarks": preset.landmarks,
-                    "duration_s": preset.duration_s,
-                    "dispersion_s": preset.dispersion_s,
-                },
-                "sources": dict(preset.sources),
-            }
-            for preset in PRESETS.values()
-        ]
-        print(json.dumps({"scenarios": scenarios, "presets": presets}, indent=2))
-        return
-    print(f"{'scenario':<16}{'components':>11}{'holes':>7}  what it is")
-    for name, arena in built.items():
-        print(f"{name:<16}{arena.betti.components:>11}{arena.betti.holes:>7}  {SCENARIOS[name].summary}")
-    columns = f"{'side':>6}{'v_m':>6}{'l*':>6}{'r_d':>6}{'r_c':>6}{'biobots':>9}{'landmarks':>11}{'T [s]':>7}"
-    print(f"\n{'preset':<13}{'unit':>5}{columns}  what it is")
-    for preset in PRESETS.values():
-        print(
-            f"{preset.name:<13}{preset.unit:>5}{preset.side:>6g}{preset.motion.speed:>6g}{preset.motion.mean_leg:>6g}"
-            f"{preset.ranges.detection:>6g}{preset.ranges.communication:>6g}{preset.biobots:>9}{preset.landmarks:>11}"
-            f"{preset.duration_s:>7g}  {preset.summary}{' (default)' if preset.name == DEFAULT_PRESET else ''}"
-        )
 
 
 def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:

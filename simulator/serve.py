@@ -12,7 +12,8 @@ from simulator.errors import ParameterError
 from simulator.line import EXAMPLES, parse_line
 from simulator.log import EventLog, set_up_logging
 from simulator.output import OutputDirectory
-from simulator.scenarios import find_preset, find_scenario
+from simulator.presets import find_preset
+from simulator.scenarios import find_scenario
 from simulator.serve_config import ServeConfig
 from simulator.service import Service
 from simulator.setting import choose_setting

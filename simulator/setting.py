@@ -9,7 +9,8 @@ from simulator.arena import Arena
 from simulator.config import MotionParameters, Ranges, WorldConfig
 from simulator.errors import ParameterError
 from simulator.geojson import load_arena
-from simulator.scenarios import find_preset, find_scenario
+from simulator.presets import find_preset
+from simulator.scenarios import find_scenario
 
 # Guards against a slip of units, which would run for days or fill the memory.
 _MAX_LEGS = 20_000_000
@@ -102,7 +103,7 @@ def choose_setting(config: WorldConfig) -> Setting:
         given = {"give --scenario NAME or --arena FILE.geojson": name, "give --seed N: the same seed makes the same run": config.seed}
         raise ConfigurationError([what for what, value in given.items() if value is None])
     preset = find_preset(config.preset)
-    arena = find_scenario(name).build(preset) if config.arena is None else load_arena(Path(name))
+    arena = find_scenario(name).build(preset.side) if config.arena is None else load_arena(Path(name))
     biobots = preset.biobots if config.biobots is None else config.biobots
     landmarks = round(biobots * preset.landmarks / preset.biobots) if config.landmarks is None else config.landmarks
     if landmarks > biobots:

@@ -15,8 +15,9 @@ from simulator.config import RunConfig
 from simulator.errors import ArenaError, OutputError, ParameterError, ScenarioError
 from simulator.geojson import load_arena
 from simulator.output import OutputDirectory
+from simulator.presets import PRESETS
 from simulator.run import run
-from simulator.scenarios import PRESETS, SCENARIOS
+from simulator.scenarios import SCENARIOS
 from simulator.setting import choose_setting
 
 FILES = ["arena.geojson", "encounters.csv", "modes.csv", "run.json", "truth.npz"]
@@ -111,7 +112,7 @@ def test_same_seed_same_bytes(results: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize(("scenario", "holes"), [("no-obstacle", 0), ("one-obstacle", 1), ("two-obstacles", 2)])
 def test_every_scenario_has_its_holes_in_both_presets(preset: str, scenario: str, holes: int) -> None:
-    arena = SCENARIOS[scenario].build(PRESETS[preset])
+    arena = SCENARIOS[scenario].build(PRESETS[preset].side)
     assert (arena.betti.components, arena.betti.holes) == (1, holes)
     assert arena.bounds == (0, 0, PRESETS[preset].side, PRESETS[preset].side)
 

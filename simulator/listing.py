@@ -1,0 +1,55 @@
+"""``biobot-sim scenarios``: what scenarios and presets there are."""
+
+import json
+
+from simulator.presets import DEFAULT_PRESET, PRESETS
+from simulator.scenarios import SCENARIOS
+
+
+def list_scenarios(*, as_json: bool) -> str:
+    """List all scenarios and presets, as tables or as JSON with the source of every value."""
+    built = {name: scenario.build(PRESETS[DEFAULT_PRESET].side) for name, scenario in SCENARIOS.items()}
+    if as_json:
+        scenarios = [
+            {
+                "name": name,
+                "summary": SCENARIOS[name].summary,
+                "betti_numbers": [arena.betti.components, arena.betti.holes],
+                "free_area_share": arena.area / PRESETS[DEFAULT_PRESET].side ** 2,
+            }
+            for name, arena in built.items()
+        ]
+        presets = [
+            {
+                "name": preset.name,
+                "summary": preset.summary,
+                "default": preset.name == DEFAULT_PRESET,
+                "unit_of_length": preset.unit,
+                "values": {
+                    "side": preset.side,
+                    "speed": preset.motion.speed,
+                    "mean_leg": preset.motion.mean_leg,
+                    "detection": preset.ranges.detection,
+                    "communication": preset.ranges.communication,
+                    "biobots": preset.biobots,
+                    "landmarks": preset.landmarks,
+                    "duration_s": preset.duration_s,
+                    "dispersion_s": preset.dispersion_s,
+                },
+                "sources": dict(preset.sources),
+            }
+            for preset in PRESETS.values()
+        ]
+        return json.dumps({"scenarios": scenarios, "presets": presets}, indent=2)
+    lines = [f"{'scenario':<16}{'components':>11}{'holes':>7}  what it is"]
+    for name, arena in built.items():
+        lines.append(f"{name:<16}{arena.betti.components:>11}{arena.betti.holes:>7}  {SCENARIOS[name].summary}")
+    columns = f"{'side':>6}{'v_m':>6}{'l*':>6}{'r_d':>6}{'r_c':>6}{'biobots':>9}{'landmarks':>11}{'T [s]':>7}"
+    lines.append(f"\n{'preset':<13}{'unit':>5}{columns}  what it is")
+    lines += [
+        f"{preset.name:<13}{preset.unit:>5}{preset.side:>6g}{preset.motion.speed:>6g}{preset.motion.mean_leg:>6g}"
+        f"{preset.ranges.detection:>6g}{preset.ranges.communication:>6g}{preset.biobots:>9}{preset.landmarks:>11}"
+        f"{preset.duration_s:>7g}  {preset.summary}{' (default)' if preset.name == DEFAULT_PRESET else ''}"
+        for preset in PRESETS.values()
+    ]
+    return "\n".join(lines)
