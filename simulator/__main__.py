@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
+from simulator import arena_flags
 from simulator.config import RunConfig
 from simulator.config_sources import load_config
 from simulator.errors import ParameterError, ScenarioError, SimulationError
@@ -113,9 +114,7 @@ def _add_common(parser: argparse.ArgumentParser, *, is_command: bool) -> None:
 
 
 def _add_run_arguments(run: argparse.ArgumentParser) -> None:
-    place = run.add_mutually_exclusive_group()
-    place.add_argument("--scenario", metavar="NAME", help="an arena by name (see: biobot-sim scenarios)")
-    place.add_argument("--arena", metavar="FILE.geojson", help="a Polygon or MultiPolygon in the preset's unit of length")
+    arena_flags.add_arguments(run)
     run.add_argument("--preset", metavar="NAME", help="parameters of insects and radios (default: paper-units)")
     run.add_argument("--biobots", type=int, metavar="N", help="how many insects (default: the preset's)")
     run.add_argument("--landmarks", type=int, metavar="N", help="how many of them stand still as landmarks (default: the preset's share)")

@@ -121,6 +121,20 @@ class Arena:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArenaChange:
+    """What an arena becomes, as when a door closes.
+
+    Parameters
+    ----------
+    at_s
+        When, after the landmarks are set [s].
+    """
+
+    at_s: float
+    arena: Arena
+
+
 def build_arena(shape: Polygon | MultiPolygon, *, source: str = "arena") -> Arena:
     """Check a shape and build an arena from it.
 

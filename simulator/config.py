@@ -66,7 +66,11 @@ class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     Attributes
     ----------
     scenario, arena
-        Name of a scenario, or path of a GeoJSON file: one of them.
+        Name of a scenario, or path of a GeoJSON, SVG or PNG file: one of them.
+    arena_scale
+        Length of a unit of the arena file, of a pixel for PNG [length].
+    arena_simplify
+        Leave out corners of the arena file, moving walls by at most this [length].
     preset
         Name of a preset.
     biobots, landmarks
@@ -84,6 +88,8 @@ class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     seed: Annotated[int, msgspec.Meta(ge=0)] | None = None
     scenario: str | None = None
     arena: str | None = None
+    arena_scale: Annotated[float, msgspec.Meta(gt=0)] = 1.0
+    arena_simplify: Annotated[float, msgspec.Meta(gt=0)] | None = None
     preset: str = "paper-units"
     biobots: Annotated[int, msgspec.Meta(ge=1, le=100_000)] | None = None
     landmarks: Annotated[int, msgspec.Meta(ge=0, le=100_000)] | None = None
@@ -100,7 +106,18 @@ class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             problems.append(f"both scenario ({self.scenario}) and arena ({self.arena}) are given; give one of them")
         if self.seed is not None and self.seed >= 2**64:
             problems.append(f"seed is {self.seed}; wanted 0 to 2^64 - 1")
-        numbers = ("dispersion_s", "duration_s", "speed", "mean_leg", "detection_radius", "communication_radius")
+        if self.arena is None and (self.arena_scale != 1.0 or self.arena_simplify is not None):
+            problems.append("arena_scale or arena_simplify is given without an arena; give arena FILE, or leave them out")
+        numbers = (
+            "arena_scale",
+            "arena_simplify",
+            "dispersion_s",
+            "duration_s",
+            "speed",
+            "mean_leg",
+            "detection_radius",
+            "communication_radius",
+        )
         problems += [
             f"{name} is {value!r}; wanted a finite number"
             for name in numbers

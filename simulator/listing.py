@@ -8,14 +8,21 @@ from simulator.scenarios import SCENARIOS
 
 def list_scenarios(*, as_json: bool) -> str:
     """List all scenarios and presets, as tables or as JSON with the source of every value."""
-    built = {name: scenario.build(PRESETS[DEFAULT_PRESET].side) for name, scenario in SCENARIOS.items()}
+    side = PRESETS[DEFAULT_PRESET].side
+    built = {name: scenario.build(side) for name, scenario in SCENARIOS.items()}
+    later = {name: scenario.build_changes(side) for name, scenario in SCENARIOS.items()}
     if as_json:
         scenarios = [
             {
                 "name": name,
                 "summary": SCENARIOS[name].summary,
                 "betti_numbers": [arena.betti.components, arena.betti.holes],
-                "free_area_share": arena.area / PRESETS[DEFAULT_PRESET].side ** 2,
+                "free_area_share": arena.area / side**2,
+                "depends_on_seed": SCENARIOS[name].is_random,
+                "changes": [
+                    {"share_of_time": share, "betti_numbers_after": [after.betti.components, after.betti.holes]}
+                    for share, after in later[name]
+                ],
             }
             for name, arena in built.items()
         ]
@@ -43,7 +50,9 @@ def list_scenarios(*, as_json: bool) -> str:
         return json.dumps({"scenarios": scenarios, "presets": presets}, indent=2)
     lines = [f"{'scenario':<16}{'components':>11}{'holes':>7}  what it is"]
     for name, arena in built.items():
-        lines.append(f"{name:<16}{arena.betti.components:>11}{arena.betti.holes:>7}  {SCENARIOS[name].summary}")
+        note = " (counted with seed 0)" if SCENARIOS[name].is_random else ""
+        lines.append(f"{name:<16}{arena.betti.components:>11}{arena.betti.holes:>7}  {SCENARIOS[name].summary}{note}")
+        lines += [f"{f'  after {share:.0%}':<16}{after.betti.components:>11}{after.betti.holes:>7}" for share, after in later[name]]
     columns = f"{'side':>6}{'v_m':>6}{'l*':>6}{'r_d':>6}{'r_c':>6}{'biobots':>9}{'landmarks':>11}{'T [s]':>7}"
     lines.append(f"\n{'preset':<13}{'unit':>5}{columns}  what it is")
     lines += [

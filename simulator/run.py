@@ -9,7 +9,7 @@ from pathlib import Path
 from firmware_protocol.errors import ConfigurationError
 from firmware_protocol.landmarks import select_landmarks
 from simulator.config import RunConfig
-from simulator.events import EncounterEnded
+from simulator.events import EncounterEnded, Event
 from simulator.log import EventLog
 from simulator.output import OutputDirectory
 from simulator.setting import choose_setting
@@ -44,7 +44,11 @@ def run(config: RunConfig) -> None:
         landmarks = select_landmarks(world.adjacency(), count=setting.landmarks)
         for landmark in landmarks:
             world.stop(landmark)
-        events = world.advance(total_s, progress=show)
+        events: list[Event] = []
+        for change in setting.arena_changes:
+            events += world.advance(setting.dispersion_s + change.at_s, progress=show)
+            world.replace_arena(change.arena)
+        events += world.advance(total_s, progress=show)
         recorder.record(events)
         if show is not None:
             sys.stderr.write("\n")
@@ -56,7 +60,11 @@ def run(config: RunConfig) -> None:
             "landmark_ids": sorted(landmarks),
             "wall_time_s": wall_time_s,
         }
-        output.commit(recorder.files(zero_s=setting.dispersion_s, run=description, position_samples=config.position_samples))
+        output.commit(
+            recorder.files(
+                zero_s=setting.dispersion_s, run=description, position_samples=config.position_samples, changes=setting.arena_changes
+            )
+        )
     n_ended = sum(isinstance(event, EncounterEnded) for event in events)
     log.info("run.done", out=config.out, encounters=n_ended + len(world.open_encounters()), wall_time_s=wall_time_s)
 

@@ -6,6 +6,7 @@ import contextlib
 import sys
 from pathlib import Path
 
+from simulator import arena_flags
 from simulator.clock import WallClock
 from simulator.config_sources import load_config
 from simulator.errors import ParameterError
@@ -23,9 +24,7 @@ log = EventLog(__name__)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``serve``."""
-    place = parser.add_mutually_exclusive_group()
-    place.add_argument("--scenario", metavar="NAME", help="an arena by name (see: biobot-sim scenarios)")
-    place.add_argument("--arena", metavar="FILE.geojson", help="a Polygon or MultiPolygon in the preset's unit of length")
+    arena_flags.add_arguments(parser)
     parser.add_argument(
         "--link", metavar="SPEC", help="what the gateway opens: pty:PATH, tcp:HOST:PORT or serial:DEVICE, each with ?baud=N"
     )

@@ -66,6 +66,7 @@ class Service:
         )
         self._recorder = TruthRecorder(self._world) if config.out is not None else None
         self._swarm = Swarm(self._world, config=_swarm_config(config, setting, boot=self._boot), observe=self._observe)
+        self._changed_at_s: list[float] = []
         self._backlog = bytearray()
         self._n_overruns = 0
         self._has_outgoing = asyncio.Event()
@@ -124,7 +125,12 @@ class Service:
         if self._recorder is None:
             msg = "no truth was recorded: the configuration has no 'out'"
             raise ValueError(msg)
-        truth = self._recorder.files(zero_s=0.0, run=self._describe(), position_samples=self._config.position_samples)
+        truth = self._recorder.files(
+            zero_s=0.0,
+            run=self._describe(),
+            position_samples=self._config.position_samples,
+            changes=self._setting.arena_changes[: len(self._changed_at_s)],
+        )
         return {"reported.csv": self._swarm.reports.to_csv(), **truth}
 
     async def _receive(self, line: SerialEnd) -> None:
@@ -148,6 +154,7 @@ class Service:
             if self._n_signals and not self._swarm.has_ended:
                 self._swarm.end_at(min(now_ns, self._end_ns()))
             self._swarm.step(now_ns)
+            self._change_arena()
             self._pump()
             self._watch(now_ns)
             if self._swarm.has_ended:
@@ -159,6 +166,15 @@ class Service:
             if self._n_signals > 1:
                 break
             await self._sleep(now_ns, until_ns=min(self._swarm.next_due_ns(), drained_ns or self._swarm.next_due_ns()))
+
+    def _change_arena(self) -> None:
+        """Put up the walls that are due; whose landmarks are set when is the gateway's business, so times count from the start."""
+        for change in self._setting.arena_changes[len(self._changed_at_s) :]:
+            if self._world.now_s < change.at_s or self._swarm.has_ended:
+                break
+            self._world.replace_arena(change.arena)
+            self._changed_at_s.append(self._world.now_s)
+            log.info("arena.changed", t_s=round(self._world.now_s, 3), holes=change.arena.betti.holes)
 
     async def _sleep(self, now_ns: int, *, until_ns: int) -> None:
         if self._is_behind:
@@ -247,6 +263,8 @@ class Service:
             },
             "arena_area": setting.arena.area,
             "betti_numbers": [setting.arena.betti.components, setting.arena.betti.holes],
+            "arena_changes": [one | {"at_s": at_s} for one, at_s in zip(setting.describe_changes(), self._changed_at_s, strict=False)],
+            "arena_counts": dict(setting.arena_counts),
             "commands": [dataclasses.asdict(one) for one in self._swarm.executed],
             "reports": self._swarm.reports.n_reports,
             "reports_unacknowledged": self._swarm.reports.n_unacknowledged,

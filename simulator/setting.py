@@ -1,16 +1,20 @@
 """The setting of a run: the arena and every parameter, chosen by a configuration and completed by its preset."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
-from simulator.arena import Arena
+from simulator.arena import Arena, ArenaChange
+from simulator.arena_file import ArenaFile, load_arena_file
 from simulator.config import MotionParameters, Ranges, WorldConfig
 from simulator.errors import ParameterError
-from simulator.geojson import load_arena
-from simulator.presets import find_preset
+from simulator.log import EventLog
+from simulator.presets import Preset, find_preset
 from simulator.scenarios import find_scenario
+
+log = EventLog(__name__)
 
 # Guards against a slip of units, which would run for days or fill the memory.
 _MAX_LEGS = 20_000_000
@@ -27,6 +31,10 @@ class Setting:
         The scenario, or the file the arena came from.
     preset, unit
         Name of the preset, and of its unit of length.
+    arena_changes
+        What the arena becomes while insects explore, in order of time.
+    arena_counts
+        What the arena's file held beside it, by kind.
     biobots, landmarks
         How many; ids are 1 to ``biobots``.
     dispersion_s, duration_s
@@ -44,6 +52,8 @@ class Setting:
     dispersion_s: float
     duration_s: float
     seed: int
+    arena_changes: tuple[ArenaChange, ...] = ()
+    arena_counts: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def ids(self) -> range:
@@ -80,8 +90,26 @@ class Setting:
             },
             "arena_area": self.arena.area,
             "betti_numbers": [self.arena.betti.components, self.arena.betti.holes],
+            "arena_changes": self.describe_changes(),
+            "arena_counts": dict(self.arena_counts),
             "expected_encounters": round(self.expected_encounters, 1),
         }
+
+    def describe_changes(self) -> list[dict[str, object]]:
+        """List for a file of parameters when the arena changes, its Betti numbers after that, and the file that holds it."""
+        return [
+            {
+                "at_s": change.at_s,
+                "betti_numbers_after": [change.arena.betti.components, change.arena.betti.holes],
+                "file": change_file(number),
+            }
+            for number, change in enumerate(self.arena_changes, start=1)
+        ]
+
+
+def change_file(number: int) -> str:
+    """Name the file of the arena after its change of this number, counted from 1."""
+    return f"arena_{number}.geojson"
 
 
 def choose_setting(config: WorldConfig) -> Setting:
@@ -100,10 +128,11 @@ def choose_setting(config: WorldConfig) -> Setting:
     """
     name = config.scenario if config.arena is None else config.arena
     if name is None or config.seed is None:
-        given = {"give --scenario NAME or --arena FILE.geojson": name, "give --seed N: the same seed makes the same run": config.seed}
+        given = {"give --scenario NAME or --arena FILE": name, "give --seed N: the same seed makes the same run": config.seed}
         raise ConfigurationError([what for what, value in given.items() if value is None])
     preset = find_preset(config.preset)
-    arena = find_scenario(name).build(preset.side) if config.arena is None else load_arena(Path(name))
+    duration_s = config.duration_s or preset.duration_s
+    file, changes = _load_arena(config, name=name, preset=preset, duration_s=duration_s)
     biobots = preset.biobots if config.biobots is None else config.biobots
     landmarks = round(biobots * preset.landmarks / preset.biobots) if config.landmarks is None else config.landmarks
     if landmarks > biobots:
@@ -112,7 +141,7 @@ def choose_setting(config: WorldConfig) -> Setting:
     communication = config.communication_radius or preset.ranges.communication * detection / preset.ranges.detection
     setting = Setting(
         arena_name=name,
-        arena=arena,
+        arena=file.arena,
         preset=preset.name,
         unit=preset.unit,
         motion=MotionParameters(speed=config.speed or preset.motion.speed, mean_leg=config.mean_leg or preset.motion.mean_leg),
@@ -120,11 +149,25 @@ def choose_setting(config: WorldConfig) -> Setting:
         biobots=biobots,
         landmarks=landmarks,
         dispersion_s=preset.dispersion_s if config.dispersion_s is None else config.dispersion_s,
-        duration_s=config.duration_s or preset.duration_s,
+        duration_s=duration_s,
         seed=config.seed,
+        arena_changes=changes,
+        arena_counts=file.counts,
     )
     _check_extent(setting)
     return setting
+
+
+def _load_arena(config: WorldConfig, *, name: str, preset: Preset, duration_s: float) -> tuple[ArenaFile, tuple[ArenaChange, ...]]:
+    if config.arena is None:
+        scenario, seed = find_scenario(name), config.seed or 0
+        changes = scenario.build_changes(preset.side, seed=seed)
+        file = ArenaFile(arena=scenario.build(preset.side, seed=seed), counts={})
+        return file, tuple(ArenaChange(at_s=share * duration_s, arena=arena) for share, arena in changes)
+    file = load_arena_file(Path(name), scale=config.arena_scale, simplify=config.arena_simplify)
+    betti = file.arena.betti
+    log.info("arena.read", file=name, components=betti.components, holes=betti.holes, walls=len(file.arena.wall_start), **file.counts)
+    return file, ()
 
 
 def _check_extent(setting: Setting) -> None:

@@ -11,13 +11,15 @@
 import csv
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from simulator.arena import ArenaChange
 from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.geojson import dump_arena
 from simulator.legs import Floats
+from simulator.setting import change_file
 from simulator.world import World
 
 
@@ -30,10 +32,11 @@ class TruthRecorder:
         The world, before its first ``advance``. It remembers all paths, so places are computed only in the end.
     """
 
-    __slots__ = ("_encounters", "_modes", "_world")
+    __slots__ = ("_arena", "_encounters", "_modes", "_world")
 
     def __init__(self, world: World) -> None:
         self._world = world
+        self._arena = world.arena  # the one to begin with
         self._encounters: list[EncounterEnded] = []
         self._modes: dict[int, list[tuple[float, Mode, Cause]]] = {one: [(0.0, Mode.CRW, Cause.NATURAL)] for one in world.ids}
 
@@ -48,7 +51,9 @@ class TruthRecorder:
                 case EncounterBegan():
                     pass
 
-    def files(self, *, zero_s: float, run: Mapping[str, object], position_samples: int = 201) -> dict[str, bytes]:
+    def files(
+        self, *, zero_s: float, run: Mapping[str, object], position_samples: int = 201, changes: Sequence[ArenaChange] = ()
+    ) -> dict[str, bytes]:
         """Make the content of every file, by name.
 
         Parameters
@@ -60,6 +65,8 @@ class TruthRecorder:
             For ``run.json``; ``counts`` is added to it.
         position_samples
             Number of instants, at least 2, evenly from 0 to the present.
+        changes
+            What the arena became meanwhile; each gets a file of its own.
 
         Notes
         -----
@@ -83,7 +90,8 @@ class TruthRecorder:
             "encounters.csv": _csv(("t_start_s", "t_end_s", "id1", "id2"), rows),
             "modes.csv": _csv(("t_start_s", "t_end_s", "id", "mode", "cause"), spells),
             "truth.npz": truth.getvalue(),
-            "arena.geojson": dump_arena(self._world.arena).encode(),
+            "arena.geojson": dump_arena(self._arena).encode(),
+            **{change_file(number): dump_arena(change.arena).encode() for number, change in enumerate(changes, start=1)},
             "run.json": (json.dumps({**run, "counts": counts}, indent=2) + "\n").encode(),
         }
 
