@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from simulator.arena import Arena
 from simulator.errors import OutsideArenaError
+from simulator.horizon import find_hidden
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -150,9 +151,11 @@ class Visibility:
 
     def sees(self, one: Viewpoints, other: Viewpoints, *, i: Indices, j: Indices) -> Bools:
         """Tell for pairs (``i`` of the one, ``j`` of the other), shape (k,), whether the line between them is free."""
-        free = np.empty(i.size, dtype=bool)
-        for k in range(0, i.size, _BLOCK // _WALLS_AT_ONCE):
-            part = slice(k, k + _BLOCK // _WALLS_AT_ONCE)
+        free = np.zeros(i.size, dtype=bool)
+        start, end = self._vertices[self._start], self._vertices[self._end]
+        open_ = np.flatnonzero(~find_hidden(one.xy, other.xy, i=i, j=j, start=start, end=end))
+        for k in range(0, open_.size, _BLOCK // _WALLS_AT_ONCE):
+            part = open_[k : k + _BLOCK // _WALLS_AT_ONCE]
             free[part] = self._sees(one, other, i=i[part], j=j[part])
         return free
 
