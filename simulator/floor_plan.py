@@ -26,7 +26,7 @@ Indices = NDArray[np.int64]
 
 MIN_PIXELS = 4
 
-# A picture of this many pixels takes about a second and a few hundred megabytes.
+# A picture of this many pixels takes some seconds and most of a gigabyte.
 _MAX_PIXELS = 4096 * 4096
 # Sides of pixels between free and wall: beyond this it is no floor plan but a photograph or noise.
 _MAX_EDGES = 2_000_000
@@ -80,7 +80,7 @@ def trace(free: Bools, *, source: str = "picture") -> Polygon | MultiPolygon:
         There are too many sides between free and wall.
     """
     label, _ = ndimage.label(free, structure=_SIDES)
-    padded = np.pad(label[::-1].astype(np.int64), 1)  # the first row is the lowest now: row r of the picture lies between y = r and r + 1
+    padded = np.pad(label[::-1].astype(np.int32), 1)  # the first row is the lowest now: row r of the picture lies between y = r and r + 1
     vertex, heading, owner = _directed_edges(padded, source=source)
     rings, owners = _link(vertex, heading, owner, width=padded.shape[1])
     outer: dict[int, LinearRing] = {}
@@ -111,14 +111,13 @@ def _find_free(content: bytes, *, source: str) -> Bools:
     except (OSError, SyntaxError, ValueError, EOFError) as error:
         raise ArenaError(source=source, problem=f"a broken PNG picture: {error}; save it anew") from error
     if picture.mode.startswith("I"):  # 16 bits of grey, which Pillow's conversions would cut off
-        grey = np.asarray(picture, dtype=np.int64)
+        grey = np.asarray(picture, dtype=np.int32)
         is_free: Bools = 2 * grey >= 65_535
         transparent = picture.info.get("transparency")
         return is_free | (grey == transparent) if isinstance(transparent, int) else is_free
-    colours = np.asarray(picture.convert("RGBA"), dtype=np.int64)
-    alpha = colours[:, :, 3]
+    red, green, blue, alpha = (np.asarray(band, dtype=np.int32) for band in picture.convert("RGBA").split())
     # ITU-R BT.601 luma in thousandths, over white.
-    luma = colours[:, :, 0] * 299 + colours[:, :, 1] * 587 + colours[:, :, 2] * 114
+    luma = red * 299 + green * 587 + blue * 114
     return np.asarray(2 * (luma * alpha + 255_000 * (255 - alpha)) >= 255_000 * 255)
 
 
@@ -131,7 +130,7 @@ def _absorb(marked: Bools, *, structure: Bools) -> tuple[Bools, int]:
     return ~marked | is_small[label], int(is_small.sum())
 
 
-def _directed_edges(label: Indices, *, source: str) -> tuple[Indices, Indices, Indices]:
+def _directed_edges(label: NDArray[np.int32], *, source: str) -> tuple[Indices, Indices, Indices]:
     """List the sides between pixels of different label, once for each label but 0, so that the label is on the left.
 
     Returns
@@ -145,7 +144,7 @@ def _directed_edges(label: Indices, *, source: str) -> tuple[Indices, Indices, I
     for heading, (below, right, rows, columns) in enumerate([(1, 0, 0, 0), (0, -1, 0, 1), (-1, 0, 1, 1), (0, 1, 1, 0)]):
         differs = (label != 0) & (label != np.roll(label, (below, right), axis=(0, 1)))
         row, column = np.nonzero(differs)
-        found.append(((row + rows) * width + column + columns, np.full(row.size, heading), label[row, column]))
+        found.append(((row + rows) * width + column + columns, np.full(row.size, heading), label[row, column].astype(np.int64)))
     n_edges = sum(part[0].size for part in found)
     if n_edges > _MAX_EDGES:
         problem = f"its outlines have {n_edges} pixel sides; wanted at most {_MAX_EDGES}: give a plan in black and white, without shading"

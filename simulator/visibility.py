@@ -164,13 +164,13 @@ class Visibility:
         begin, end = one.xy[i], other.xy[j]
         is_here = _length(end - begin) <= self.tolerance
         free[is_here] = _share_a_sector(one, other, i=i[is_here], j=j[is_here])
-        low, high = np.minimum(begin, end) - self.tolerance, np.maximum(begin, end) + self.tolerance
+        strips = _Strips(begin, end, slack=2 * self.tolerance)
         # Walls that follow each other are neighbours: few boxes of walls lie in the way of a line, and one that blocks is enough.
         for first in range(0, self._start.size, _WALLS_AT_ONCE):
+            open_ = np.flatnonzero(free & ~is_here)
             walls = slice(first, first + _WALLS_AT_ONCE)
             corners = self._vertices[np.concatenate([self._start[walls], self._end[walls]])]
-            is_near = np.all((low <= corners.max(axis=0)) & (high >= corners.min(axis=0)), axis=1)
-            lines = np.flatnonzero(free & ~is_here & is_near)
+            lines = open_[strips.meet(corners.min(axis=0), corners.max(axis=0), lines=open_)]
             differs = one.is_before[:, walls][i[lines]] != other.is_before[:, walls][j[lines]]
             line, wall = np.divmod(np.flatnonzero(differs), differs.shape[1])
             line, wall = lines[line], wall + first
@@ -226,6 +226,30 @@ class Visibility:
         length = _length(along)
         x, y = points[:, 0, None] - start[:, 0], points[:, 1, None] - start[:, 1]
         return (along[:, 0] * y - along[:, 1] * x) / length, (along[:, 0] * x + along[:, 1] * y) / length, length
+
+
+class _Strips:
+    """Lines, to be asked which of them come near a box."""
+
+    __slots__ = ("_half", "_middle", "_slack", "_way")
+
+    def __init__(self, begin: Floats, end: Floats, *, slack: float) -> None:
+        self._way = np.ascontiguousarray((end - begin).T)
+        self._middle = np.ascontiguousarray(((begin + end) / 2).T)
+        self._half = np.abs(self._way) / 2 + slack
+        self._slack = slack
+
+    def meet(self, low: Floats, high: Floats, *, lines: Indices) -> Bools:
+        """Tell which of ``lines`` come within the slack of the box between two corners, and perhaps a little further."""
+        half_x, half_y = (high - low) / 2
+        centre_x, centre_y = (high + low) / 2
+        x, y = centre_x - self._middle[0, lines], centre_y - self._middle[1, lines]
+        across, up = self._half[0, lines], self._half[1, lines]
+        # Apart along x, along y, or square to the line: if none of those, they may meet.
+        is_beside = np.abs(self._way[0, lines] * y - self._way[1, lines] * x) > 2 * (
+            across * (half_y + self._slack) + up * (half_x + self._slack)
+        )
+        return np.asarray((np.abs(x) <= half_x + across) & (np.abs(y) <= half_y + up) & ~is_beside)
 
 
 def _split_walls(arena: Arena, *, tolerance: float) -> tuple[Floats, Indices, Indices]:

@@ -16,7 +16,7 @@ from shapely.ops import polylabel
 from mapper.encounter_csv import read_encounters
 from mapper.persistence import rips_persistence
 from mapper.types import EncounterTable
-from simulator.arena import Arena, BettiNumbers
+from simulator.arena import Arena, ArenaChange, BettiNumbers
 from simulator.geodesics import geodesic_distances
 from simulator.geojson import load_arena
 from studies.errors import OtherRunError, RunDirectoryError
@@ -45,7 +45,7 @@ class RunTruth:
     directory
         Where it was read from.
     arena
-        The arena, and its true Betti numbers.
+        The arena at first, and its true Betti numbers.
     unit
         Name of the unit of every length.
     speed
@@ -58,6 +58,8 @@ class RunTruth:
         Where each was: the middle between its biobots at its centre time, shape (n, 2) [length].
     t_s, ids, position
         Instants [s], shape (n_t,), identities, shape (b,), and where each biobot was then [length], shape (n_t, b, 2).
+    arena_changes
+        What the arena became meanwhile, in order of time.
     """
 
     directory: Path
@@ -70,11 +72,16 @@ class RunTruth:
     t_s: Floats
     ids: Indices
     position: Floats
+    arena_changes: tuple[ArenaChange, ...] = ()
 
     @property
     def betti(self) -> BettiNumbers:
-        """True numbers of components and holes."""
+        """True numbers of components and holes at first; ``arena_at`` has those after a change."""
         return self.arena.betti
+
+    def arena_at(self, t_s: float) -> Arena:
+        """Return the arena as it is at an instant of the files' time [s]; at that of a change, the one after it."""
+        return next((change.arena for change in reversed(self.arena_changes) if change.at_s <= t_s), self.arena)
 
     @property
     def side(self) -> float:
@@ -93,7 +100,7 @@ def load_run(directory: Path) -> RunTruth:
     InputFileError
         ``encounters.csv`` is missing or faulty.
     ArenaError
-        ``arena.geojson`` is missing or faulty.
+        ``arena.geojson``, or that of an arena after a change, is missing or faulty.
     """
     run = _read_run(directory / "run.json")
     arrays = _read_arrays(directory / "truth.npz")
@@ -113,6 +120,10 @@ def load_run(directory: Path) -> RunTruth:
         t_s=arrays["t_s"],
         ids=arrays["ids"].astype(np.int64),
         position=arrays["position"],
+        arena_changes=tuple(
+            ArenaChange(at_s=float(change["at_s"]), arena=load_arena(directory / Path(change["file"]).name))
+            for change in run.get("arena_changes", [])
+        ),
     )
 
 
@@ -164,9 +175,27 @@ def find_encounters(truth: RunTruth, *, t_s: Floats, id1: Indices, id2: Indices)
     return rows, errors_s
 
 
-def true_distances(truth: RunTruth, rows: Indices) -> Floats:
-    """Measure exact geodesics between encounters given by row, shape (p,): (p, p) [length], inf between components of the arena."""
-    return geodesic_distances(truth.arena, truth.encounter_position[rows])
+def true_distances(truth: RunTruth, rows: Indices, *, at_s: float = 0.0) -> Floats:
+    """Measure exact geodesics between encounters.
+
+    Parameters
+    ----------
+    rows
+        The encounters, shape (p,).
+    at_s
+        The instant whose arena counts [s, the files' time]. Where walls that came later stand in an encounter's place, the nearest place
+        that is free then stands for it.
+
+    Returns
+    -------
+    Floats
+        Shape (p, p) [length], inf between components of the arena.
+    """
+    arena, places = truth.arena_at(at_s), truth.encounter_position[rows]
+    if arena is not truth.arena:
+        nearest = shapely.shortest_line(arena.polygon, shapely.points(places))
+        places = shapely.get_coordinates(nearest)[::2]
+    return geodesic_distances(arena, places)
 
 
 def diagram_of(distances: Floats) -> Intervals:
@@ -222,8 +251,9 @@ def _read_run(path: Path) -> dict[str, Any]:
         raise RunDirectoryError(path=path, problem=f"not JSON: {error}; run it again") from error
     try:
         float(run["parameters"]["speed"]), float(run.get("speed_factor", 1.0)), int(run.get("t0_wall_ns", 0))
+        [(float(change["at_s"]), str(change["file"])) for change in run.get("arena_changes", [])]
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        problem = "lacks a number it should have: parameters.speed, speed_factor or t0_wall_ns; was it written by biobot-sim?"
+        problem = "lacks a number: parameters.speed, speed_factor, t0_wall_ns or at_s of an arena change; was it written by biobot-sim?"
         raise RunDirectoryError(path=path, problem=problem) from error
     found: dict[str, Any] = run
     return found

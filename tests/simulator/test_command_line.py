@@ -1,12 +1,15 @@
 """Laws of ``biobot-sim``, run as people run it."""
 
 import json
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 SMALL = ["--biobots", "10", "--duration", "5"]
 
@@ -49,6 +52,29 @@ def test_an_arena_file_is_walked(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "run.json").read_text())["arena"] == str(arena)
 
 
+@pytest.mark.parametrize("suffix", [".svg", ".png"])
+def test_a_drawing_and_a_floor_plan_are_walked(tmp_path: Path, suffix: str) -> None:
+    """A room of 450 by 300 units, or pixels, with an obstacle and a speck, at 2 cm each: 9 m by 6 m."""
+    plan = tmp_path / f"plan{suffix}"
+    if suffix == ".svg":
+        shapes = '<rect width="450" height="300" fill="none"/><circle cx="200" cy="150" r="60"/>'
+        plan.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 450 300">{shapes}</svg>')
+    else:
+        pixels = np.full((300, 450), 255, dtype=np.uint8)
+        pixels[90:210, 140:260], pixels[5, 5] = 0, 0
+        Image.fromarray(pixels).save(plan)
+    arguments = ["--arena", str(plan), "--arena-scale", "0.02", "--arena-simplify", "0.05", *SMALL, "--seed", "1"]
+    done = biobot_sim("run", *arguments, "--out", str(tmp_path / "out"))
+    assert done.returncode == 0, done.stderr
+    read = json.loads(done.stderr.splitlines()[0])
+    described = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert (read["event"], read["components"], read["holes"]) == ("arena.read", 1, 1)
+    assert described["betti_numbers"] == [1, 1]
+    assert 54 - 5.76 - 0.1 < described["arena_area"] < 54 - math.pi * 1.2**2 + 0.2
+    assert described["arena_counts"].get("specks_removed", 1) == 1
+    assert described["arena_counts"]["walls_simplified_away"] == read["walls_simplified_away"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "problem"),
     [
@@ -65,7 +91,14 @@ def test_an_arena_file_is_walked(tmp_path: Path) -> None:
         (["run", "--scenario", "no-obstacle", "--duration", "-5", "--seed", "1", "--out", "{tmp}/out"], 2, "duration_s"),
         (["run", "--scenario", "no-obstacle", "--seed", "1", "--out", "{tmp}"], 1, "is not empty"),
         (["run", "--scenario", "no-obstacle", "--seed", "1", "--out", "{tmp}/bad.toml/out"], 1, "cannot be written"),
-        (["run", "--arena", "{tmp}/bad.toml", "--seed", "1", "--out", "{tmp}/out"], 1, "bad.toml: not JSON"),
+        (
+            ["run", "--arena", "{tmp}/bad.toml", "--seed", "1", "--out", "{tmp}/out"],
+            1,
+            "bad.toml: its name ends in '.toml'; wanted .geojson, .json, .svg or .png",
+        ),
+        (["run", "--scenario", "star", "--arena-scale", "2", "--seed", "1", "--out", "{tmp}/out"], 2, "given without an arena"),
+        (["run", "--arena", "a.svg", "--arena-scale", "0", "--seed", "1", "--out", "{tmp}/out"], 2, "--arena-scale"),
+        (["run", "--arena", "a.svg", "--arena-scale", "inf", "--seed", "1", "--out", "{tmp}/out"], 2, "arena_scale is inf"),
         (["run", "--config", "{tmp}/none.toml"], 2, "none.toml: cannot be read: No such file"),
         (["run", "--config", "{tmp}"], 2, "cannot be read: Is a directory"),
         (["run", "--check-config", "--config", "{tmp}/bad.toml"], 2, "unknown key 'sed'"),
@@ -107,5 +140,8 @@ def test_scenarios_are_listed_for_people_and_for_programs() -> None:
     for name in ("no-obstacle", "one-obstacle", "two-obstacles", "paper-units", "paper-50cm"):
         assert name in listed.stdout
     as_json = json.loads(biobot_sim("scenarios", "--json").stdout)
-    assert [scenario["betti_numbers"] for scenario in as_json["scenarios"]] == [[1, 0], [1, 1], [1, 2]]
+    assert [scenario["betti_numbers"] for scenario in as_json["scenarios"][:3]] == [[1, 0], [1, 1], [1, 2]]
+    assert {scenario["name"] for scenario in as_json["scenarios"] if scenario["depends_on_seed"]} == {"maze", "rubble"}
+    changes = {scenario["name"]: scenario["changes"] for scenario in as_json["scenarios"] if scenario["changes"]}
+    assert changes == {"closing-door": [{"share_of_time": 0.5, "betti_numbers_after": [2, 2]}]}
     assert [preset["name"] for preset in as_json["presets"] if preset["default"]] == ["paper-units"]

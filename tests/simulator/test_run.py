@@ -19,6 +19,7 @@ from simulator.presets import PRESETS
 from simulator.run import run
 from simulator.scenarios import SCENARIOS
 from simulator.setting import choose_setting
+from simulator.world import World
 
 FILES = ["arena.geojson", "encounters.csv", "modes.csv", "run.json", "truth.npz"]
 
@@ -128,6 +129,23 @@ def test_without_dispersion_and_with_landmarks_only(tmp_path: Path) -> None:
     assert {row["mode"] for row in read(tmp_path / "out" / "modes.csv")} == {"S"}
 
 
+@pytest.mark.skipif(not hasattr(World, "replace_arena"), reason="the world's walls cannot be replaced yet")
+def test_a_door_closes_at_half_time_and_nobody_passes_after(tmp_path: Path) -> None:
+    """At unit speed in 60 s, some of 60 insects pass the door 10 wide in the first half, and none in the second."""
+    run(config(tmp_path / "out", scenario="closing-door"))
+    described = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert described["betti_numbers"] == [1, 2]
+    assert described["arena_changes"] == [{"at_s": 30.0, "betti_numbers_after": [2, 2], "file": "arena_1.geojson"}]
+    first, after = (load_arena(tmp_path / "out" / name) for name in ("arena.geojson", "arena_1.geojson"))
+    assert (first.betti.components, after.betti.components, after.betti.holes) == (1, 2, 2)
+    truth = np.load(tmp_path / "out" / "truth.npz")
+    is_left = truth["position"][:, :, 0] < 25
+    assert np.any(is_left[truth["t_s"] < 30] != is_left[0])
+    assert np.all(is_left[truth["t_s"] > 30] == is_left[-1])
+    late = truth["position"][truth["t_s"] > 30]
+    assert shapely.contains_xy(after.polygon, *late.reshape(-1, 2).T).all()
+
+
 def test_one_biobot_alone_meets_nobody(tmp_path: Path) -> None:
     run(config(tmp_path / "out", biobots=1))
     assert read(tmp_path / "out" / "encounters.csv") == []
@@ -149,7 +167,7 @@ def test_separate_rooms_share_the_landmarks_by_size(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "error", "problem"),
     [
-        ({"scenario": None}, ConfigurationError, "give --scenario NAME or --arena FILE.geojson"),
+        ({"scenario": None}, ConfigurationError, "give --scenario NAME or --arena FILE"),
         ({"seed": None}, ConfigurationError, "give --seed N"),
         ({"out": None}, ConfigurationError, "give --out DIR"),
         ({"scenario": "moon"}, ScenarioError, "no scenario is called 'moon'; choose one of no-obstacle, one-obstacle, two-obstacles"),
