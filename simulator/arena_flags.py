@@ -9,4 +9,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     place.add_argument("--scenario", metavar="NAME", help="an arena by name (see: biobot-sim scenarios)")
     place.add_argument("--arena", metavar="FILE", help="an arena as .geojson, .svg or black-and-white .png, in the preset's unit of length")
     parser.add_argument("--arena-scale", type=float, metavar="X", help="length of one unit, or pixel, of the arena file (default: 1)")
+    parser.add_argument(
+        "--arena-then",
+        action="append",
+        metavar="S:FILE",
+        help="the arena is this one from S seconds after the landmarks are set; repeatable",
+    )
     parser.add_argument("--arena-simplify", type=float, metavar="X", help="leave out corners of the file, moving walls by at most this")

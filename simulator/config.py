@@ -71,6 +71,8 @@ class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         Length of a unit of the arena file, of a pixel for PNG [length].
     arena_simplify
         Leave out corners of the arena file, moving walls by at most this [length].
+    arena_then
+        ``SECONDS:FILE`` each: from so many seconds after the landmarks are set, the arena is that of another file.
     preset
         Name of a preset.
     biobots, landmarks
@@ -90,6 +92,7 @@ class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     arena: str | None = None
     arena_scale: Annotated[float, msgspec.Meta(gt=0)] = 1.0
     arena_simplify: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    arena_then: tuple[str, ...] = ()
     preset: str = "paper-units"
     biobots: Annotated[int, msgspec.Meta(ge=1, le=100_000)] | None = None
     landmarks: Annotated[int, msgspec.Meta(ge=0, le=100_000)] | None = None
@@ -106,8 +109,16 @@ class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             problems.append(f"both scenario ({self.scenario}) and arena ({self.arena}) are given; give one of them")
         if self.seed is not None and self.seed >= 2**64:
             problems.append(f"seed is {self.seed}; wanted 0 to 2^64 - 1")
-        if self.arena is None and (self.arena_scale != 1.0 or self.arena_simplify is not None):
-            problems.append("arena_scale or arena_simplify is given without an arena; give arena FILE, or leave them out")
+        if self.arena is None and (self.arena_scale != 1.0 or self.arena_simplify is not None or self.arena_then):
+            problems.append("arena_scale, arena_simplify or arena_then is given without an arena; give arena FILE, or leave them out")
+        times_s = []
+        for text in self.arena_then:
+            try:
+                times_s.append(parse_arena_then(text)[0])
+            except ValueError as error:
+                problems.append(str(error))
+        if sorted(set(times_s)) != times_s:
+            problems.append(f"arena_then has the times {times_s}; wanted each later than the one before")
         numbers = (
             "arena_scale",
             "arena_simplify",
@@ -125,6 +136,25 @@ class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         ]
         if problems:
             raise ValueError("; ".join(problems))
+
+
+def parse_arena_then(text: str) -> tuple[float, str]:
+    """Take ``SECONDS:FILE`` apart.
+
+    Raises
+    ------
+    ValueError
+        It has no colon, or no finite positive number before it.
+    """
+    seconds, _, file = text.partition(":")
+    try:
+        at_s = float(seconds)
+    except ValueError:
+        at_s = math.nan
+    if not (file and math.isfinite(at_s) and at_s > 0):
+        msg = f"arena_then has {text!r}; wanted SECONDS:FILE, with a positive number of seconds"
+        raise ValueError(msg)
+    return at_s, file
 
 
 class RunConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -8,7 +8,7 @@ from pathlib import Path
 from firmware_protocol.errors import ConfigurationError
 from simulator.arena import Arena, ArenaChange
 from simulator.arena_file import ArenaFile, load_arena_file
-from simulator.config import MotionParameters, Ranges, WorldConfig
+from simulator.config import MotionParameters, Ranges, WorldConfig, parse_arena_then
 from simulator.errors import ParameterError
 from simulator.log import EventLog
 from simulator.presets import Preset, find_preset
@@ -164,10 +164,23 @@ def _load_arena(config: WorldConfig, *, name: str, preset: Preset, duration_s: f
         changes = scenario.build_changes(preset.side, seed=seed)
         file = ArenaFile(arena=scenario.build(preset.side, seed=seed), counts={})
         return file, tuple(ArenaChange(at_s=share * duration_s, arena=arena) for share, arena in changes)
-    file = load_arena_file(Path(name), scale=config.arena_scale, simplify=config.arena_simplify)
+    times_s, later = [], []
+    for at_s, path in map(parse_arena_then, config.arena_then):
+        if at_s >= duration_s:
+            raise ParameterError(
+                name=f"time at which the arena becomes {path} [s]", got=at_s, wanted=f"less than the duration, {duration_s:g}"
+            )
+        times_s.append(at_s)
+        later.append(path)
+    files = [_read_arena(path, config) for path in (name, *later)]
+    return files[0], tuple(ArenaChange(at_s=at_s, arena=file.arena) for at_s, file in zip(times_s, files[1:], strict=True))
+
+
+def _read_arena(path: str, config: WorldConfig) -> ArenaFile:
+    file = load_arena_file(Path(path), scale=config.arena_scale, simplify=config.arena_simplify)
     betti = file.arena.betti
-    log.info("arena.read", file=name, components=betti.components, holes=betti.holes, walls=len(file.arena.wall_start), **file.counts)
-    return file, ()
+    log.info("arena.read", file=path, components=betti.components, holes=betti.holes, walls=len(file.arena.wall_start), **file.counts)
+    return file
 
 
 def _check_extent(setting: Setting) -> None:

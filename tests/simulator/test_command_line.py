@@ -97,6 +97,8 @@ def test_a_drawing_and_a_floor_plan_are_walked(tmp_path: Path, suffix: str) -> N
             "bad.toml: its name ends in '.toml'; wanted .geojson, .json, .svg or .png",
         ),
         (["run", "--scenario", "star", "--arena-scale", "2", "--seed", "1", "--out", "{tmp}/out"], 2, "given without an arena"),
+        (["run", "--arena", "a.svg", "--arena-then", "b.svg", "--seed", "1", "--out", "{tmp}/out"], 2, "has 'b.svg'; wanted SECONDS:FILE"),
+        (["run", "--arena", "a.svg", "--arena-then", "0:b.svg", "--seed", "1", "--out", "{tmp}/out"], 2, "a positive number of seconds"),
         (["run", "--arena", "a.svg", "--arena-scale", "0", "--seed", "1", "--out", "{tmp}/out"], 2, "--arena-scale"),
         (["run", "--arena", "a.svg", "--arena-scale", "inf", "--seed", "1", "--out", "{tmp}/out"], 2, "arena_scale is inf"),
         (["run", "--config", "{tmp}/none.toml"], 2, "none.toml: cannot be read: No such file"),

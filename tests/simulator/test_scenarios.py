@@ -1,5 +1,9 @@
 """Laws of the named arenas."""
 
+import json
+from pathlib import Path
+
+import msgspec
 import numpy as np
 import pytest
 import shapely
@@ -9,6 +13,7 @@ from shapely.geometry import LinearRing, Polygon, box
 
 from simulator.arena import Arena, build_arena
 from simulator.config import WorldConfig
+from simulator.errors import ParameterError
 from simulator.maze import LOOPS
 from simulator.presets import PRESETS
 from simulator.scenarios import SCENARIOS
@@ -126,6 +131,21 @@ def test_a_run_takes_the_rubble_of_its_own_seed() -> None:
     one, other = (choose_setting(WorldConfig(scenario="rubble", seed=seed)) for seed in (5, 6))
     assert one.arena.polygon.equals(SCENARIOS["rubble"].build(50.0, seed=5).polygon)
     assert not one.arena.polygon.equals(other.arena.polygon)
+
+
+def test_an_arena_file_may_be_followed_by_others(tmp_path: Path) -> None:
+    for number, size in enumerate((9, 8, 7)):
+        shape = {"type": "Polygon", "coordinates": [[[0, 0], [size, 0], [size, size], [0, size], [0, 0]]]}
+        (tmp_path / f"{number}.geojson").write_text(json.dumps(shape))
+    later = (f"10:{tmp_path}/1.geojson", f"20.5:{tmp_path}/2.geojson")
+    config = WorldConfig(arena=f"{tmp_path}/0.geojson", arena_scale=2.0, arena_then=later, seed=1, duration_s=60.0)
+    setting = choose_setting(config)
+    assert setting.arena.area == 18**2
+    assert [(change.at_s, change.arena.area) for change in setting.arena_changes] == [(10, 16**2), (20.5, 14**2)]
+    with pytest.raises(ValueError, match=r"arena_then has the times \[20.5, 10.0\]; wanted each later"):
+        msgspec.structs.replace(config, arena_then=later[::-1])
+    with pytest.raises(ParameterError, match=r"2.geojson \[s\] is 20.5; wanted less than the duration, 20"):
+        choose_setting(msgspec.structs.replace(config, duration_s=20.0))
 
 
 @pytest.mark.parametrize("preset", PRESETS)

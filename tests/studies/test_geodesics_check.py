@@ -9,12 +9,13 @@ from simulator.geodesics import Geodesics
 from studies.geodesics_check import WANTED_ERROR, check, draw_places, large_plan, main, named_arenas, slow_distances
 
 ARENAS = dict(named_arenas(seed=3))
+TURNED = dict(named_arenas(seed=4, degrees=17.3))
 
 
 @pytest.mark.parametrize("name", ARENAS)
 def test_geodesics_are_exact_in_every_named_arena(name: str) -> None:
     result = check(name, ARENAS[name], pairs=60, seed=7)
-    assert result.error <= WANTED_ERROR
+    assert max(result.error, check(name, TURNED[name], pairs=30, seed=8).error) <= WANTED_ERROR
     assert (result.without_way > 0) == (ARENAS[name].betti.components > 1)
 
 
@@ -47,7 +48,7 @@ def test_a_floor_plan_of_two_thousand_walls_is_measured_and_agrees() -> None:
 
 
 def test_the_table_has_a_row_for_every_arena(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--pairs", "4", "--points", "10"]) == 0
+    assert main(["--pairs", "4", "--points", "0"]) == 0
     told = capsys.readouterr().out
     assert all(f"| {name} |" in told for name in ARENAS)
     with pytest.raises(SystemExit, match="2"):
