@@ -9,7 +9,6 @@ from pathlib import Path
 from firmware_protocol.errors import ConfigurationError
 from firmware_protocol.landmarks import select_landmarks
 from simulator.config import RunConfig
-from simulator.events import EncounterEnded
 from simulator.log import EventLog
 from simulator.output import OutputDirectory
 from simulator.setting import choose_setting
@@ -40,12 +39,12 @@ def run(config: RunConfig) -> None:
         recorder = TruthRecorder(world)
         total_s = setting.dispersion_s + setting.duration_s
         show = _show_bar(total_s) if sys.stderr.isatty() else None
-        recorder.record(world.advance(setting.dispersion_s, progress=show))
+        recorder.record_run(world.run(setting.dispersion_s, progress=show))
         landmarks = select_landmarks(world.adjacency(), count=setting.landmarks)
         for landmark in landmarks:
             world.stop(landmark)
-        events = world.advance(total_s, progress=show)
-        recorder.record(events)
+        explored = world.run(total_s, progress=show)
+        recorder.record_run(explored)
         if show is not None:
             sys.stderr.write("\n")
         wall_time_s = round(time.perf_counter() - began_s, 3)
@@ -57,8 +56,7 @@ def run(config: RunConfig) -> None:
             "wall_time_s": wall_time_s,
         }
         output.commit(recorder.files(zero_s=setting.dispersion_s, run=description, position_samples=config.position_samples))
-    n_ended = sum(isinstance(event, EncounterEnded) for event in events)
-    log.info("run.done", out=config.out, encounters=n_ended + len(world.open_encounters()), wall_time_s=wall_time_s)
+    log.info("run.done", out=config.out, encounters=len(explored.ended) + len(world.open_encounters()), wall_time_s=wall_time_s)
 
 
 def _show_bar(total_s: float) -> Callable[[float], None]:

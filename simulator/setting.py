@@ -1,14 +1,15 @@
 """The setting of a run: the arena and every parameter, chosen by a configuration and completed by its preset."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
 from simulator.arena import Arena
-from simulator.config import MotionParameters, Ranges, WorldConfig
+from simulator.config import Ranges, WorldConfig
 from simulator.errors import ParameterError
 from simulator.geojson import load_arena
+from simulator.motion import MotionParameters
 from simulator.presets import find_preset
 from simulator.scenarios import find_scenario
 
@@ -78,6 +79,7 @@ class Setting:
                 "dispersion_s": self.dispersion_s,
                 "duration_s": self.duration_s,
             },
+            "motion": asdict(self.motion),
             "arena_area": self.arena.area,
             "betti_numbers": [self.arena.betti.components, self.arena.betti.holes],
             "expected_encounters": round(self.expected_encounters, 1),
@@ -98,11 +100,11 @@ def choose_setting(config: WorldConfig) -> Setting:
     ParameterError
         The parameters contradict each other, or would make a run without end.
     """
-    name = config.scenario if config.arena is None else config.arena
+    preset = find_preset(config.preset)
+    name = config.arena or config.scenario or preset.scenario
     if name is None or config.seed is None:
         given = {"give --scenario NAME or --arena FILE.geojson": name, "give --seed N: the same seed makes the same run": config.seed}
         raise ConfigurationError([what for what, value in given.items() if value is None])
-    preset = find_preset(config.preset)
     arena = find_scenario(name).build(preset.side) if config.arena is None else load_arena(Path(name))
     biobots = preset.biobots if config.biobots is None else config.biobots
     landmarks = round(biobots * preset.landmarks / preset.biobots) if config.landmarks is None else config.landmarks
@@ -115,7 +117,9 @@ def choose_setting(config: WorldConfig) -> Setting:
         arena=arena,
         preset=preset.name,
         unit=preset.unit,
-        motion=MotionParameters(speed=config.speed or preset.motion.speed, mean_leg=config.mean_leg or preset.motion.mean_leg),
+        motion=config.motion.over(
+            replace(preset.motion, speed=config.speed or preset.motion.speed, mean_leg=config.mean_leg or preset.motion.mean_leg)
+        ),
         ranges=Ranges(detection=detection, communication=communication),
         biobots=biobots,
         landmarks=landmarks,

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
+from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, EncounterTable, Event, Happenings, Mode, ModeChanged
 from simulator.geojson import dump_arena
 from simulator.legs import Floats
 from simulator.world import World
@@ -30,11 +30,13 @@ class TruthRecorder:
         The world, before its first ``advance``. It remembers all paths, so places are computed only in the end.
     """
 
-    __slots__ = ("_encounters", "_modes", "_world")
+    __slots__ = ("_encounters", "_modes", "_silences", "_tables", "_world")
 
     def __init__(self, world: World) -> None:
         self._world = world
         self._encounters: list[EncounterEnded] = []
+        self._tables: list[EncounterTable] = []
+        self._silences: list[BackpackSilenced] = []
         self._modes: dict[int, list[tuple[float, Mode, Cause]]] = {one: [(0.0, Mode.CRW, Cause.NATURAL)] for one in world.ids}
 
     def record(self, events: Iterable[Event]) -> None:
@@ -45,8 +47,15 @@ class TruthRecorder:
                     self._encounters.append(event)
                 case ModeChanged():
                     self._modes[event.id].append((event.t_s, event.mode, event.cause))
+                case BackpackSilenced():
+                    self._silences.append(event)
                 case EncounterBegan():
                     pass
+
+    def record_run(self, run: Happenings) -> None:
+        """Take in what ``World.run`` returned."""
+        self._tables.append(run.ended)
+        self.record(run.changes)
 
     def files(self, *, zero_s: float, run: Mapping[str, object], position_samples: int = 201) -> dict[str, bytes]:
         """Make the content of every file, by name.
@@ -68,35 +77,43 @@ class TruthRecorder:
         rows, places = self._encounter_rows(zero_s)
         spells = self._mode_rows(zero_s)
         t_s = np.linspace(zero_s, self._world.now_s, position_samples)
-        ids = self._world.ids
-        positions = self._world.positions_of(np.repeat(ids, position_samples).tolist(), np.tile(t_s, len(ids)))
         truth = io.BytesIO()
         np.savez(
             truth,
             encounter_position=places,
             t_s=t_s - zero_s,
-            ids=np.array(ids, dtype=np.int64),
-            position=np.ascontiguousarray(positions.reshape(len(ids), position_samples, 2).transpose(1, 0, 2)),
+            ids=np.array(self._world.ids, dtype=np.int64),
+            position=self._world.positions_at(t_s),
         )
+        silences = [{"t_s": one.t_s - zero_s, "id": one.id, "reason": one.reason.value} for one in self._silences]
         counts = {"encounters": len(rows), "mode_spells": len(spells), "position_samples": position_samples}
         return {
             "encounters.csv": _csv(("t_start_s", "t_end_s", "id1", "id2"), rows),
             "modes.csv": _csv(("t_start_s", "t_end_s", "id", "mode", "cause"), spells),
             "truth.npz": truth.getvalue(),
             "arena.geojson": dump_arena(self._world.arena).encode(),
-            "run.json": (json.dumps({**run, "counts": counts}, indent=2) + "\n").encode(),
+            "run.json": (json.dumps({**run, "silenced_backpacks": silences, "counts": counts}, indent=2) + "\n").encode(),
         }
 
     def _encounter_rows(self, zero_s: float) -> tuple[list[tuple[str, str, int, int]], Floats]:
         now_s = self._world.now_s
-        whole = [(one.t_start_s, one.t_end_s, one.id1, one.id2) for one in self._encounters if one.t_end_s > zero_s]
-        whole += [(one.t_s, now_s, one.id1, one.id2) for one in self._world.open_encounters() if now_s > max(one.t_s, zero_s)]
-        listed = [(*_times(max(start_s, zero_s), end_s, zero_s), id1, id2) for start_s, end_s, id1, id2 in whole]
-        order = sorted(range(len(listed)), key=lambda k: (float(listed[k][0]), float(listed[k][1]), *listed[k][2:]))
-        centres = np.array([(max(whole[k][0], zero_s) + whole[k][1]) / 2.0 for k in order], dtype=np.float64)
-        first = self._world.positions_of([whole[k][2] for k in order], centres)
-        second = self._world.positions_of([whole[k][3] for k in order], centres)
-        return [listed[k] for k in order], (first + second) / 2.0
+        alone = [(one.id1, one.id2, one.t_start_s, one.t_end_s) for one in self._encounters]
+        alone += [(one.id1, one.id2, one.t_s, now_s) for one in self._world.open_encounters()]
+        columns = list(zip(*alone, strict=True)) if alone else [(), (), (), ()]
+        parts = [(table.id1, table.id2, table.t_start_s, table.t_end_s) for table in self._tables]
+        id1, id2 = (np.concatenate([np.array(columns[k], dtype=np.int64), *(part[k] for part in parts)]) for k in (0, 1))
+        start_s, end_s = (np.concatenate([np.array(columns[k], dtype=np.float64), *(part[k] for part in parts)]) for k in (2, 3))
+        start_s = np.maximum(start_s, zero_s)
+        kept = end_s > start_s
+        id1, id2, start_s, end_s = id1[kept], id2[kept], start_s[kept], end_s[kept]
+        # In order of the times as they are written, to the nanosecond.
+        written = [np.round(times - zero_s, 9) for times in (start_s, end_s)]
+        order = np.lexsort((id2, id1, written[1], written[0]))
+        id1, id2, start_s, end_s = id1[order], id2[order], start_s[order], end_s[order]
+        centres = (start_s + end_s) / 2.0
+        places = (self._world.positions_of(id1, centres) + self._world.positions_of(id2, centres)) / 2.0
+        rows = zip(start_s.tolist(), end_s.tolist(), id1.tolist(), id2.tolist(), strict=True)
+        return [(*_times(start, end, zero_s), one, other) for start, end, one, other in rows], places
 
     def _mode_rows(self, zero_s: float) -> list[tuple[str, str, int, str, str]]:
         rows = []

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from dataclasses import fields
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from firmware_protocol.errors import ConfigurationError
 from simulator.config import RunConfig
 from simulator.errors import ArenaError, OutputError, ParameterError, ScenarioError
 from simulator.geojson import load_arena
+from simulator.motion import MotionParameters
 from simulator.output import OutputDirectory
 from simulator.presets import PRESETS
 from simulator.run import run
@@ -120,7 +122,9 @@ def test_every_scenario_has_its_holes_in_both_presets(preset: str, scenario: str
 def test_every_value_of_a_preset_has_its_source() -> None:
     wanted = {"side", "speed", "mean_leg", "detection", "communication", "biobots", "landmarks", "duration_s", "dispersion_s"}
     for preset in PRESETS.values():
-        assert preset.sources.keys() == wanted
+        plain = MotionParameters(speed=preset.motion.speed, mean_leg=preset.motion.mean_leg)
+        special = {one.name for one in fields(plain) if getattr(plain, one.name) != getattr(preset.motion, one.name)}
+        assert preset.sources.keys() == wanted | special
 
 
 def test_without_dispersion_and_with_landmarks_only(tmp_path: Path) -> None:
