@@ -11,8 +11,9 @@ from pathlib import Path
 from firmware_protocol.errors import ConfigurationError
 from simulator.config import RunConfig
 from simulator.config_sources import load_config
-from simulator.errors import ParameterError, ScenarioError, SimulationError
+from simulator.errors import InterruptedRunError, ParameterError, ScenarioError, SimulationError
 from simulator.log import set_up_logging
+from simulator.motion import WallLaw
 
 _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 
@@ -29,6 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(error.problems, status=_EXIT_USAGE)
     except (ScenarioError, ParameterError) as error:
         return _complain([str(error)], status=_EXIT_USAGE)
+    except InterruptedRunError as error:
+        return _complain([str(error)], status=_EXIT_INTERRUPTED)
     except SimulationError as error:
         return _complain([str(error)], status=_EXIT_FAILED)
     except BrokenPipeError:
@@ -51,6 +54,12 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
 
         print(list_scenarios(as_json=args.json))
         return 0
+    if args.command == "resume":
+        from simulator.run import resume  # noqa: PLC0415
+
+        set_up_logging()
+        resume(args.snapshot_file, out=args.out, force=args.force)
+        return 0
     if args.command == "run" or args.check_config:
         config = load_config(RunConfig, args)
         if args.check_config:
@@ -70,7 +79,7 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         run(config)
         return 0
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, serve or scenarios"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, resume, serve or scenarios"], status=_EXIT_USAGE)
 
 
 def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
@@ -82,6 +91,11 @@ def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="walk a whole run as fast as possible and write encounters, modes and truth")
     _add_common(run, is_command=True)
     _add_run_arguments(run)
+    resume = commands.add_parser("resume", help="finish a run that was interrupted, from its snapshot")
+    _add_common(resume, is_command=True)
+    resume.add_argument("snapshot_file", type=Path, metavar="SNAPSHOT", help="file that 'run --snapshot' wrote; it is kept up to date")
+    resume.add_argument("--out", metavar="DIR", help="directory for the results (default: the run's)")
+    resume.add_argument("--force", action="store_true", help="write into a directory that is not empty")
     serve = commands.add_parser("serve", help="walk in real time behind a virtual coordinator, for a gateway to listen to")
     _add_common(serve, is_command=True)
     if with_serve:
@@ -123,6 +137,17 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("--seed", type=int, metavar="N", help="same seed, same run")
     run.add_argument("--out", metavar="DIR", help="directory for the results; made if missing")
     run.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")
+    run.add_argument("--snapshot", metavar="FILE", help="keep the run in this file, for 'resume' after a signal")
+    run.add_argument("--snapshot-every", dest="snapshot_every_s", type=float, metavar="S", help="also each S seconds of the run")
+    add_motion_arguments(run)
+
+
+def add_motion_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of how insects move; all keys of the table ``motion`` can be given in TOML or by variables."""
+    laws = [law.value for law in WallLaw]
+    parser.add_argument("--wall-law", dest="motion.wall_law", choices=laws, help="what insects do at walls (default: the preset's)")
+    parser.add_argument("--persistence", dest="motion.persistence", type=float, metavar="G", help="mean cosine of turns, 0 to 0.999")
+    parser.add_argument("--levy", dest="motion.levy_exponent", type=float, metavar="MU", help="power-law legs with this exponent")
 
 
 def _complain(problems: Sequence[str], *, status: int) -> int:

@@ -160,8 +160,20 @@ class RunConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         Write into a directory that is not empty, replacing files of an earlier run.
     position_samples
         At how many instants, evenly from start to end, all positions are written.
+    snapshot
+        File in which the run is kept so that ``biobot-sim resume`` can take it up after a signal.
+    snapshot_every_s
+        Also write it whenever this much of the run's time has passed [s].
     """
 
     out: str | None = None
     force: bool = False
+    snapshot: str | None = None
+    snapshot_every_s: Annotated[float, msgspec.Meta(gt=0)] | None = None
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.snapshot_every_s is not None and self.snapshot is None:
+            msg = "snapshot_every_s is given without snapshot, the file to write; give --snapshot FILE"
+            raise ValueError(msg)

@@ -106,3 +106,11 @@ class SnapshotError(SimulationError):
     def __init__(self, *, source: str, problem: str) -> None:
         self.source = source
         super().__init__(f"{source}: {problem}; wanted a whole snapshot, written by this version of the simulator on this kind of machine")
+
+
+class InterruptedRunError(SimulationError):
+    """A signal ended a run, and its snapshot was written: resume it."""
+
+    def __init__(self, *, snapshot: Path, t_s: float) -> None:
+        self.snapshot = snapshot
+        super().__init__(f"interrupted at {t_s:g} s; go on with: biobot-sim resume {snapshot}")

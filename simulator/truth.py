@@ -13,12 +13,38 @@ import io
 import json
 from collections.abc import Iterable, Mapping
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, EncounterTable, Event, Happenings, Mode, ModeChanged
+from simulator.events import (
+    BackpackSilenced,
+    Cause,
+    EncounterBegan,
+    EncounterEnded,
+    EncounterTable,
+    Event,
+    Happenings,
+    Mode,
+    ModeChanged,
+    SilenceReason,
+)
 from simulator.geojson import dump_arena
 from simulator.legs import Floats
 from simulator.world import World
+
+Integers = NDArray[np.int64]
+
+
+class RecorderState(msgspec.Struct, frozen=True, kw_only=True):
+    """What a recorder has collected: columns of encounters as bytes, modes and silences as they came."""
+
+    id1: bytes
+    id2: bytes
+    t_start_s: bytes
+    t_end_s: bytes
+    modes: dict[int, list[tuple[float, str, str]]]
+    silences: list[tuple[float, int, str]]
 
 
 class TruthRecorder:
@@ -28,16 +54,36 @@ class TruthRecorder:
     ----------
     world
         The world, before its first ``advance``. It remembers all paths, so places are computed only in the end.
+    state
+        What an earlier recorder of the same world had collected.
     """
 
     __slots__ = ("_encounters", "_modes", "_silences", "_tables", "_world")
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, *, state: "RecorderState | None" = None) -> None:
         self._world = world
         self._encounters: list[EncounterEnded] = []
         self._tables: list[EncounterTable] = []
         self._silences: list[BackpackSilenced] = []
         self._modes: dict[int, list[tuple[float, Mode, Cause]]] = {one: [(0.0, Mode.CRW, Cause.NATURAL)] for one in world.ids}
+        if state is not None:
+            id1, id2 = (np.frombuffer(column, dtype=np.int64) for column in (state.id1, state.id2))
+            start_s, end_s = (np.frombuffer(column, dtype=np.float64) for column in (state.t_start_s, state.t_end_s))
+            self._tables.append(EncounterTable(id1=id1, id2=id2, t_start_s=start_s, t_end_s=end_s))
+            self._modes = {one: [(t_s, Mode(mode), Cause(cause)) for t_s, mode, cause in changes] for one, changes in state.modes.items()}
+            self._silences = [BackpackSilenced(t_s=t_s, id=one, reason=SilenceReason(reason)) for t_s, one, reason in state.silences]
+
+    def state(self) -> "RecorderState":
+        """Return what was collected so far, for a snapshot."""
+        id1, id2, start_s, end_s = self._columns()
+        return RecorderState(
+            id1=id1.tobytes(),
+            id2=id2.tobytes(),
+            t_start_s=start_s.tobytes(),
+            t_end_s=end_s.tobytes(),
+            modes={one: [(t_s, mode.value, cause.value) for t_s, mode, cause in changes] for one, changes in self._modes.items()},
+            silences=[(one.t_s, one.id, one.reason.value) for one in self._silences],
+        )
 
     def record(self, events: Iterable[Event]) -> None:
         """Take in what ``World.advance`` returned."""
@@ -56,6 +102,12 @@ class TruthRecorder:
         """Take in what ``World.run`` returned."""
         self._tables.append(run.ended)
         self.record(run.changes)
+
+    def count_encounters(self, *, zero_s: float) -> int:
+        """Count the encounters that the files will tell of."""
+        _, _, start_s, end_s = self._columns()
+        still = sum(self._world.now_s > max(one.t_s, zero_s) for one in self._world.open_encounters())
+        return int(np.count_nonzero(end_s > np.maximum(start_s, zero_s))) + still
 
     def files(self, *, zero_s: float, run: Mapping[str, object], position_samples: int = 201) -> dict[str, bytes]:
         """Make the content of every file, by name.
@@ -96,13 +148,12 @@ class TruthRecorder:
         }
 
     def _encounter_rows(self, zero_s: float) -> tuple[list[tuple[str, str, int, int]], Floats]:
-        now_s = self._world.now_s
-        alone = [(one.id1, one.id2, one.t_start_s, one.t_end_s) for one in self._encounters]
-        alone += [(one.id1, one.id2, one.t_s, now_s) for one in self._world.open_encounters()]
-        columns = list(zip(*alone, strict=True)) if alone else [(), (), (), ()]
-        parts = [(table.id1, table.id2, table.t_start_s, table.t_end_s) for table in self._tables]
-        id1, id2 = (np.concatenate([np.array(columns[k], dtype=np.int64), *(part[k] for part in parts)]) for k in (0, 1))
-        start_s, end_s = (np.concatenate([np.array(columns[k], dtype=np.float64), *(part[k] for part in parts)]) for k in (2, 3))
+        id1, id2, start_s, end_s = self._columns()
+        still = self._world.open_encounters()
+        id1 = np.concatenate([id1, np.array([one.id1 for one in still], dtype=np.int64)])
+        id2 = np.concatenate([id2, np.array([one.id2 for one in still], dtype=np.int64)])
+        start_s = np.concatenate([start_s, np.array([one.t_s for one in still], dtype=np.float64)])
+        end_s = np.concatenate([end_s, np.full(len(still), self._world.now_s)])
         start_s = np.maximum(start_s, zero_s)
         kept = end_s > start_s
         id1, id2, start_s, end_s = id1[kept], id2[kept], start_s[kept], end_s[kept]
@@ -114,6 +165,25 @@ class TruthRecorder:
         places = (self._world.positions_of(id1, centres) + self._world.positions_of(id2, centres)) / 2.0
         rows = zip(start_s.tolist(), end_s.tolist(), id1.tolist(), id2.tolist(), strict=True)
         return [(*_times(start, end, zero_s), one, other) for start, end, one, other in rows], places
+
+    def _columns(self) -> tuple[Integers, Integers, Floats, Floats]:
+        """Return both ids, start and end [s] of every encounter that has ended, shape (k,) each."""
+        alone = self._encounters
+        tables = [
+            EncounterTable(
+                id1=np.array([one.id1 for one in alone], dtype=np.int64),
+                id2=np.array([one.id2 for one in alone], dtype=np.int64),
+                t_start_s=np.array([one.t_start_s for one in alone], dtype=np.float64),
+                t_end_s=np.array([one.t_end_s for one in alone], dtype=np.float64),
+            ),
+            *self._tables,
+        ]
+        return (
+            np.concatenate([table.id1 for table in tables]),
+            np.concatenate([table.id2 for table in tables]),
+            np.concatenate([table.t_start_s for table in tables]),
+            np.concatenate([table.t_end_s for table in tables]),
+        )
 
     def _mode_rows(self, zero_s: float) -> list[tuple[str, str, int, str, str]]:
         rows = []
