@@ -10,7 +10,7 @@ from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
 from simulator.config import RunConfig
-from simulator.errors import InterruptedRunError, SnapshotError
+from simulator.errors import InterruptedRunError, OutputError, SnapshotError
 from simulator.expedition import Expedition
 from simulator.log import EventLog
 from simulator.output import OutputDirectory, write_whole

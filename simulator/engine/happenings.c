@@ -149,7 +149,7 @@ void own_event(engine *e, int32_t i) {
 /* ---- events of pairs ---- */
 
 static void come_near(engine *e, int32_t a, int32_t b, double t) {
-    if (find_link(&e->insect[a].near, b)) return;
+    if (find_link(&e->insect[a].near, b) || e->insect[a].is_silent || e->insect[b].is_silent) return;
     link mine = {t, b, 0}, theirs = {t, a, 0};
     add_link(e, &e->insect[a].near, mine);
     add_link(e, &e->insect[b].near, theirs);

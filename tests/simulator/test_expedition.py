@@ -43,7 +43,7 @@ def test_a_resumed_run_has_the_files_of_one_never_interrupted(at_s: float) -> No
 def test_a_snapshot_with_a_byte_changed_or_missing_is_refused() -> None:
     content = Expedition(BUSY).save()
     for broken in (content[:-1], content[:40], b"", content[:100] + b"?" + content[101:]):
-        with pytest.raises(SnapshotError, match="half: .*wanted a whole snapshot"):
+        with pytest.raises(SnapshotError, match=r"half: .*wanted a whole snapshot"):
             Expedition.resume(broken, source="half")
 
 
