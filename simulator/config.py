@@ -121,8 +121,14 @@ class RunConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         Write into a directory that is not empty, replacing files of an earlier run.
     position_samples
         At how many instants, evenly from start to end, all positions are written.
+    watch
+        Show the insects in the terminal while they walk.
+    watch_speed
+        Let so many seconds of the run pass in one of ours, instead of as many as can; asks for ``watch``.
     """
 
     out: str | None = None
     force: bool = False
+    watch: bool = False
+    watch_speed: Annotated[float, msgspec.Meta(gt=0, le=1e6)] | None = None
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201
