@@ -132,6 +132,11 @@ def read_run(path: Path) -> RecordedRun:
             "they are not of one run: make the run again",
         )
     modes = _Table(path / "modes.csv", ("t_start_s", "t_end_s", "id", "mode", "cause"))
+    counts = about.get("counts")
+    wanted = counts.get("mode_spells", len(modes.rows)) if isinstance(counts, dict) else len(modes.rows)
+    if len(modes.rows) != wanted:
+        problem = f"has {len(modes.rows)} rows where run.json counts {wanted}; it is cut short or not of this run: make the run again"
+        raise RunFileError(path=modes.path, problem=problem)
     still = modes.text("mode") == Mode.S.value
     landmarks = about.get("landmark_ids")
     if landmarks is not None and not (isinstance(landmarks, list) and all(isinstance(one, int) and one in row for one in landmarks)):

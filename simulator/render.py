@@ -57,7 +57,7 @@ class RenderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Instead: ids of the biobots whose paths it shows, with commas between.
     fps
         Frames a second of film.
-    seconds, speed
+    seconds, film_speed
         How long a film is [s], 10 without either; or how many times faster than life.
     size
         Width and height, as in ``960x900`` [pixel].
@@ -77,14 +77,14 @@ class RenderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ids: str | None = None
     fps: Annotated[float, msgspec.Meta(gt=0, le=120)] = 20.0
     seconds: _Positive | None = None
-    speed: _Positive | None = None
+    film_speed: _Positive | None = None
     size: str = "960x900"
     dpi: Annotated[float, msgspec.Meta(ge=30, le=1_200)] = 120.0
 
     def __post_init__(self) -> None:
         problems = []
-        if self.seconds is not None and self.speed is not None:
-            problems.append(f"both seconds ({self.seconds:g}) and speed ({self.speed:g}) are given; give one of them")
+        if self.seconds is not None and self.film_speed is not None:
+            problems.append(f"both seconds ({self.seconds:g}) and film_speed ({self.film_speed:g}) are given; give one of them")
         match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", self.size)
         if match is None or not all(_MIN_PIXELS <= int(one) <= _MAX_PIXELS for one in match.groups()):
             problems.append(f"size is {self.size!r}; wanted WIDTHxHEIGHT, each from {_MIN_PIXELS} to {_MAX_PIXELS} pixels")
@@ -110,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fps", type=float, metavar="N", help="frames a second of film (default: 20)")
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--seconds", type=float, metavar="S", help="length of the film (default: 10)")
-    length.add_argument("--speed", type=float, metavar="X", help="the film is X times faster than life")
+    length.add_argument("--speed", dest="film_speed", type=float, metavar="X", help="the film is X times faster than life")
     parser.add_argument("--size", metavar="WxH", help="pixels (default: 960x900)")
     parser.add_argument("--dpi", type=float, metavar="N", help="larger letters and lines with more (default: 120)")
 
@@ -250,12 +250,12 @@ def _paint_svg(config: RenderConfig, run: RecordedRun, path: Path) -> None:
 
 
 def _paint_gif(config: RenderConfig, run: RecordedRun, path: Path) -> None:
-    plan = plan_film(run, fps=config.fps, seconds=config.seconds, speed=config.speed)
+    plan = plan_film(run, fps=config.fps, seconds=config.seconds, speed=config.film_speed)
     write_gif(run, path, plan=plan, size=_size(config), trail_s=_trail_s(config, run))
 
 
 def _paint_mp4(config: RenderConfig, run: RecordedRun, path: Path) -> None:
-    plan = plan_film(run, fps=config.fps, seconds=config.seconds, speed=config.speed)
+    plan = plan_film(run, fps=config.fps, seconds=config.seconds, speed=config.film_speed)
     write_mp4(run, path, plan=plan, size=_size(config), trail_s=_trail_s(config, run))
 
 
