@@ -71,7 +71,7 @@ def write_gif(run: RecordedRun, path: Path, *, plan: FilmPlan, size: PictureSize
     ------
     ParameterError
         Too many frames, or too fast for the format.
-    OutputError
+    OSError
         The file cannot be written.
     """
     from PIL import Image  # noqa: PLC0415  # comes with matplotlib, see picture.drawing_style
@@ -88,12 +88,9 @@ def write_gif(run: RecordedRun, path: Path, *, plan: FilmPlan, size: PictureSize
     # Rounding each frame's end, not its length, keeps the film as long as asked.
     ends = np.rint(np.arange(plan.n_frames + 1) / plan.fps / _GIF_TICK_S)
     durations_ms = (np.diff(ends) * _GIF_TICK_S * 1000.0).round().astype(int).tolist()
-    try:
-        next(pictures).save(
-            path, format="GIF", save_all=True, append_images=pictures, duration=durations_ms, loop=0, optimize=False, disposal=1
-        )
-    except OSError as error:
-        raise OutputError(path=path, problem=f"cannot be written: {error.strerror or error}") from error
+    next(pictures).save(
+        path, format="GIF", save_all=True, append_images=pictures, duration=durations_ms, loop=0, optimize=False, disposal=1
+    )
 
 
 def write_mp4(run: RecordedRun, path: Path, *, plan: FilmPlan, size: PictureSize, trail_s: float) -> None:
@@ -131,12 +128,18 @@ def write_mp4(run: RecordedRun, path: Path, *, plan: FilmPlan, size: PictureSize
         output_params=["-f", "mp4", "-crf", "20", "-movflags", "+faststart", "-fflags", "+bitexact", "-flags:v", "+bitexact"],
     )
     try:
-        writer.send(None)
-        for frame in _frames(run, plan=plan, size=size, trail_s=trail_s):
-            writer.send(np.ascontiguousarray(frame))
-        writer.close()
-    except OSError as error:
-        raise OutputError(path=path, problem=f"cannot be written by the encoder: {error}") from error
+        try:
+            writer.send(None)
+            for frame in _frames(run, plan=plan, size=size, trail_s=trail_s):
+                writer.send(np.ascontiguousarray(frame))
+        finally:
+            writer.close()  # waits for the encoder, which would go on alone
+        n_written, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
+    except (OSError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise OutputError(path=path, problem=f"the encoder failed ({reason}); is there room for the film?") from error
+    if n_written != plan.n_frames:  # the encoder does not tell its exit status
+        raise OutputError(path=path, problem=f"the encoder wrote {n_written} frames of {plan.n_frames}; is there room for the film?")
 
 
 def _palette() -> NDArray[np.uint8]:

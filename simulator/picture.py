@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import shapely
 
+from simulator.errors import MissingLibraryError
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -59,8 +61,11 @@ class PictureSize:
 @contextmanager
 def drawing_style() -> Iterator[None]:
     """Draw with matplotlib's own defaults and with what makes equal pictures equal bytes, whatever the user's style."""
-    import matplotlib as mpl  # noqa: PLC0415  # a run without pictures must not wait for it
-
+    try:
+        import matplotlib as mpl  # noqa: PLC0415  # a run without pictures must not wait for it
+    except ImportError as error:
+        remedy = "pip install 'biobot-gateway[simulator]', or make a page with --html"
+        raise MissingLibraryError(library="matplotlib", needed_for="pictures and films", remedy=remedy) from error
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update({"svg.hashsalt": "biobot", "svg.fonttype": "none", "axes.titlesize": 11, "legend.fontsize": 9})
@@ -94,7 +99,7 @@ def render_overview(run: RecordedRun, *, size: PictureSize, rows: list[int], ima
                 places[landmarks, 0],
                 places[landmarks, 1],
                 marker="^",
-                s=46,
+                s=float(np.clip(4_000.0 / landmarks.sum(), 10.0, 46.0)),
                 color=LANDMARK,
                 edgecolors="white",
                 linewidths=0.7,

@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import os
 import re
+import signal
 import sys
 import uuid
 from collections.abc import Callable, Iterator
@@ -130,6 +131,8 @@ def main(args: argparse.Namespace) -> int:
         sys.stdout.write(f"{args.config or 'defaults and environment'}: the configuration is valid\n")
         return 0
     set_up_logging()
+    # A polite kill leaves no half-made film behind, as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     render(config)
     return 0
 
@@ -182,6 +185,8 @@ def _fresh_file(target: Path) -> Iterator[Path]:
             fresh.replace(target)
         finally:
             fresh.unlink(missing_ok=True)
+    except OutputError as error:
+        raise OutputError(path=target, problem=error.problem) from error  # whoever wrote knows only the fresh name
     except OSError as error:
         raise OutputError(path=target, problem=f"cannot be written: {os.strerror(error.errno) if error.errno else error}") from error
 
