@@ -174,7 +174,7 @@ def summary(run: RecordedRun, *, met: int, landmarks: int) -> str:
     named = f"{landmarks} landmark{'' if landmarks == 1 else 's'}"
     return (
         f"{run.ids.size:,} biobot{'' if run.ids.size == 1 else 's'} ({named}), {met:,} encounter{'' if met == 1 else 's'} in "
-        f"{run.end_s:g} s; lengths in {_plural(run.unit)}"
+        f"{round(run.end_s, 1):g} s; lengths in {_plural(run.unit)}"
     )
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simulator.canvas import Canvas, Ink, View, fit_view, paint
@@ -95,12 +95,13 @@ def test_drawing_on_a_copy_leaves_the_canvas_as_it_was() -> None:
     assert canvas.lines(is_coloured=True) == ["⠀⠀", "⠀⠀"]
 
 
+@settings(max_examples=40)
 @given(
     columns=st.integers(1, 200),
     rows=st.integers(1, 60),
     corner=st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)),
     size=st.tuples(st.floats(1e-2, 1e4), st.floats(1e-2, 1e4)),
-    shares=st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=20),
+    shares=st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=5),
 )
 def test_all_of_an_area_fits_into_its_canvas(
     columns: int, rows: int, corner: tuple[float, float], size: tuple[float, float], shares: list[tuple[float, float]]
