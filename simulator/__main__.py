@@ -1,4 +1,4 @@
-"""Command line of the simulator: ``run`` writes a run's files, ``serve`` stands in for a dongle, ``scenarios`` lists what there is."""
+"""Command line of the simulator: ``run`` writes a run's files, ``serve`` stands in for a dongle, ``render`` draws."""
 
 import argparse
 import os
@@ -21,7 +21,7 @@ _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    parser = _make_parser(with_serve="serve" in given)
+    parser = _make_parser(given)
     args = parser.parse_args(given)
     try:
         status = _dispatch(args, parser)
@@ -49,6 +49,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         from simulator import serve  # noqa: PLC0415
 
         return serve.main(args)
+    if args.command == "render":
+        from simulator import render  # noqa: PLC0415
+
+        return render.main(args)
     if args.command == "scenarios":
         from simulator.listing import list_scenarios  # noqa: PLC0415
 
@@ -79,10 +83,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         run(config)
         return 0
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, resume, serve or scenarios"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, resume, serve, render or scenarios"], status=_EXIT_USAGE)
 
 
-def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
+def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="biobot-sim", description="Simulated insects with backpacks: whole runs as files, or live behind a virtual dongle."
     )
@@ -98,10 +102,16 @@ def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
     resume.add_argument("--force", action="store_true", help="write into a directory that is not empty")
     serve = commands.add_parser("serve", help="walk in real time behind a virtual coordinator, for a gateway to listen to")
     _add_common(serve, is_command=True)
-    if with_serve:
+    if "serve" in given:
         from simulator import serve as serve_module  # noqa: PLC0415  # the other commands need none of its imports
 
         serve_module.add_arguments(serve)
+    render = commands.add_parser("render", help="make pictures, films or a page of a run that is on disk")
+    _add_common(render, is_command=True)
+    if "render" in given:
+        from simulator import render as render_module  # noqa: PLC0415  # same
+
+        render_module.add_arguments(render)
     scenarios = commands.add_parser("scenarios", help="list scenarios and presets")
     _add_common(scenarios, is_command=True)
     scenarios.add_argument("--json", action="store_true", help="as JSON, with the source of every value")
@@ -139,6 +149,8 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")
     run.add_argument("--snapshot", metavar="FILE", help="keep the run in this file, for 'resume' after a signal")
     run.add_argument("--snapshot-every", dest="snapshot_every_s", type=float, metavar="S", help="also each S seconds of the run")
+    run.add_argument("--watch", action="store_true", default=None, help="show the insects in the terminal while they walk")
+    run.add_argument("--watch-speed", type=float, metavar="X", help="and no faster than X seconds of the run in one of ours")
     add_motion_arguments(run)
 
 

@@ -164,12 +164,18 @@ class RunConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         File in which the run is kept so that ``biobot-sim resume`` can take it up after a signal.
     snapshot_every_s
         Also write it whenever this much of the run's time has passed [s].
+    watch
+        Show the insects in the terminal while they walk.
+    watch_speed
+        Let so many seconds of the run pass in one of ours, instead of as many as can; asks for ``watch``.
     """
 
     out: str | None = None
     force: bool = False
     snapshot: str | None = None
     snapshot_every_s: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    watch: bool = False
+    watch_speed: Annotated[float, msgspec.Meta(gt=0, le=1e6)] | None = None
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201
 
     def __post_init__(self) -> None:

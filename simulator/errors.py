@@ -114,3 +114,20 @@ class InterruptedRunError(SimulationError):
     def __init__(self, *, snapshot: Path, t_s: float) -> None:
         self.snapshot = snapshot
         super().__init__(f"interrupted at {t_s:g} s; go on with: biobot-sim resume {snapshot}")
+
+
+class RunFileError(SimulationError):
+    """A run that was to be read is not there, not whole or not understood: name the directory of a finished run."""
+
+    def __init__(self, *, path: Path, problem: str) -> None:
+        self.path = path
+        self.problem = problem
+        super().__init__(f"{path}: {problem}")
+
+
+class MissingLibraryError(SimulationError):
+    """An optional library is not installed: install it, or ask for something that does without."""
+
+    def __init__(self, *, library: str, needed_for: str, remedy: str) -> None:
+        self.library = library
+        super().__init__(f"the library {library} is not installed; wanted for {needed_for}: {remedy}")

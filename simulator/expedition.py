@@ -58,16 +58,22 @@ class Expedition:
         """All time has passed."""
         return self.world.now_s >= self.total_s and self._n_done == len(self._turns())
 
-    def advance(self, until_s: float, *, progress: Callable[[float], None] | None = None) -> None:
-        """Let time run to ``until_s`` [s], at most to the end, and do on the way what is due: set the landmarks, close doors."""
+    def advance(self, until_s: float, *, walk: Callable[[float], None] | None = None) -> None:
+        """Let time run to ``until_s`` [s], at most to the end, and do on the way what is due: set the landmarks, close doors.
+
+        Parameters
+        ----------
+        walk
+            Lets the world run to an instant and gives what happens to the recorder; without it, that is all that happens.
+        """
         until_s = min(until_s, self.total_s)
         for at_s, act in self._turns()[self._n_done :]:
             if at_s > until_s:
                 break
-            self._run(at_s, progress)
+            self._run(at_s, walk)
             act()
             self._n_done += 1
-        self._run(until_s, progress)
+        self._run(until_s, walk)
 
     def save(self) -> bytes:
         """Return a snapshot."""
@@ -126,9 +132,13 @@ class Expedition:
         for landmark in self.landmarks:
             self.world.stop(landmark)
 
-    def _run(self, until_s: float, progress: Callable[[float], None] | None) -> None:
-        if until_s > self.world.now_s:
-            self.recorder.record_run(self.world.run(until_s, progress=progress))
+    def _run(self, until_s: float, walk: Callable[[float], None] | None) -> None:
+        if until_s <= self.world.now_s:
+            return
+        if walk is None:
+            self.recorder.record_run(self.world.run(until_s))
+        else:
+            walk(until_s)
 
     def _set_done(self, count: int) -> None:
         self._n_done = count

@@ -14,6 +14,7 @@ from simulator.errors import InterruptedRunError, OutputError, SnapshotError
 from simulator.expedition import Expedition
 from simulator.log import EventLog
 from simulator.output import OutputDirectory, write_whole
+from simulator.watch import Watch
 
 log = EventLog(__name__)
 
@@ -71,28 +72,24 @@ def resume(snapshot: Path, *, out: str | None, force: bool) -> None:
 
 def _finish(expedition: Expedition, output: OutputDirectory, config: RunConfig, *, snapshot: Path | None = None) -> None:
     began_s = time.perf_counter()
-    show = _show_bar(expedition.total_s) if sys.stderr.isatty() else None
     place = snapshot or (None if config.snapshot is None else Path(config.snapshot))
-    _advance_to_the_end(expedition, show, snapshot=place, every_s=config.snapshot_every_s)
-    if show is not None:
-        sys.stderr.write("\n")
+    with _shown(expedition, config) as walk:
+        _advance_to_the_end(expedition, walk, snapshot=place, every_s=config.snapshot_every_s)
     wall_time_s = round(time.perf_counter() - began_s, 3)
     files = expedition.files(program="biobot-sim run", version=version("biobot-gateway"), wall_time_s=wall_time_s)
     output.commit(files)
     log.info("run.done", out=str(output.path), encounters=expedition.n_encounters, wall_time_s=wall_time_s)
 
 
-def _advance_to_the_end(
-    expedition: Expedition, show: Callable[[float], None] | None, *, snapshot: Path | None, every_s: float | None
-) -> None:
+def _advance_to_the_end(expedition: Expedition, walk: Callable[[float], None], *, snapshot: Path | None, every_s: float | None) -> None:
     if snapshot is None:
-        expedition.advance(expedition.total_s, progress=show)
+        expedition.advance(expedition.total_s, walk=walk)
         return
     with _noted_signals() as noted:
         saved_s = expedition.world.now_s
         while not expedition.is_over:
             step_s = expedition.total_s / _PAUSES if every_s is None else min(every_s, expedition.total_s / _PAUSES)
-            expedition.advance(expedition.world.now_s + step_s, progress=show)
+            expedition.advance(expedition.world.now_s + step_s, walk=walk)
             is_due = every_s is not None and expedition.world.now_s - saved_s >= every_s and not expedition.is_over
             if is_due and not noted:
                 saved_s = expedition.world.now_s
@@ -115,6 +112,22 @@ def _noted_signals() -> Iterator[list[int]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _shown(expedition: Expedition, config: RunConfig) -> Iterator[Callable[[float], None]]:
+    """Give what lets time run and shows how far it is: a picture, a bar, or nothing where nobody looks."""
+    setting, world, recorder = expedition.setting, expedition.world, expedition.recorder
+    if config.watch or config.watch_speed is not None:
+        title = f"{setting.arena_name}, {setting.preset}, seed {setting.seed}: {setting.biobots} biobots"
+        with Watch(world, title=title, zero_s=setting.dispersion_s, end_s=expedition.total_s) as watch:
+            yield lambda until_s: recorder.record(watch.advance(until_s, speed=config.watch_speed))
+    elif sys.stderr.isatty():
+        show = _show_bar(expedition.total_s)
+        yield lambda until_s: recorder.record_run(world.run(until_s, progress=show))
+        sys.stderr.write("\n")
+    else:
+        yield lambda until_s: recorder.record_run(world.run(until_s))
 
 
 def _show_bar(total_s: float) -> Callable[[float], None]:

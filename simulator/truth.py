@@ -33,6 +33,9 @@ from simulator.geojson import dump_arena
 from simulator.legs import Floats
 from simulator.world import World
 
+RUN_FORMAT = 1
+"""Told in ``run.json``; a new number for files that an older reader would misunderstand."""
+
 Integers = NDArray[np.int64]
 
 
@@ -118,7 +121,7 @@ class TruthRecorder:
             The world's time that the files call 0 [s]: when the landmarks were set. What ended before is left out, and what
             was going on starts at 0.
         run
-            For ``run.json``; ``counts`` is added to it.
+            For ``run.json``; ``format`` and ``counts`` are added to it.
         position_samples
             Number of instants, at least 2, evenly from 0 to the present.
 
@@ -139,12 +142,13 @@ class TruthRecorder:
         )
         silences = [{"t_s": one.t_s - zero_s, "id": one.id, "reason": one.reason.value} for one in self._silences]
         counts = {"encounters": len(rows), "mode_spells": len(spells), "position_samples": position_samples}
+        about = {"format": RUN_FORMAT, **run, "silenced_backpacks": silences, "counts": counts}
         return {
             "encounters.csv": _csv(("t_start_s", "t_end_s", "id1", "id2"), rows),
             "modes.csv": _csv(("t_start_s", "t_end_s", "id", "mode", "cause"), spells),
             "truth.npz": truth.getvalue(),
             "arena.geojson": dump_arena(self._world.arena).encode(),
-            "run.json": (json.dumps({**run, "silenced_backpacks": silences, "counts": counts}, indent=2) + "\n").encode(),
+            "run.json": (json.dumps(about, indent=2) + "\n").encode(),
         }
 
     def _encounter_rows(self, zero_s: float) -> tuple[list[tuple[str, str, int, int]], Floats]:
