@@ -40,6 +40,7 @@ _BATTERY_STREAM = 21
 
 # Steps of the engine between two reports of progress, about a tenth of a second's work.
 _STEPS_AT_ONCE = 200_000
+_FIRST_WINDOW_S = 1.0
 _MODES = (Mode.CRW, Mode.S)
 _CAUSES = (Cause.NATURAL, Cause.COMMAND)
 
@@ -81,7 +82,20 @@ class World:
     All biobots walk at first (mode CRW, cause natural), and that is no event.
     """
 
-    __slots__ = ("_arena", "_engine", "_ids", "_keeps_legs", "_known_legs", "_lost_first", "_now_s", "_past", "_ranges", "_row", "_torus")
+    __slots__ = (
+        "_arena",
+        "_engine",
+        "_ids",
+        "_keeps_legs",
+        "_known_legs",
+        "_lost_first",
+        "_now_s",
+        "_past",
+        "_ranges",
+        "_row",
+        "_torus",
+        "_window_s",
+    )
 
     def __init__(
         self,
@@ -108,6 +122,7 @@ class World:
         self._keeps_legs = keeps_legs
         self._past: list[Legs] = []
         self._known_legs: Legs | None = None
+        self._window_s = _FIRST_WINDOW_S
         keys = np.array(self._ids, dtype=np.uint64)
         moved = motion.faster(speed_factor)
         lost_s, flat_s = _draw_failures(moved, seed=seed, keys=keys)
@@ -365,6 +380,7 @@ class World:
         self._keeps_legs = parts.keeps_legs
         self._past = [] if parts.legs is None else [parts.legs]
         self._known_legs = None
+        self._window_s = _FIRST_WINDOW_S
         self._lost_first = parts.lost_first
         try:
             self._engine = Engine.load(parts.engine, arena=None if parts.is_torus else parts.arena, n_biobots=len(self._ids))
@@ -374,15 +390,15 @@ class World:
     def _run(self, until_s: float, progress: Callable[[float], None] | None) -> Iterator[Records]:
         if not self._now_s <= until_s < float("inf"):
             raise TimeError(got_s=until_s, wanted=f"a finite time not before the present, {self._now_s!r} s")
-        window_s = (until_s - self._now_s) / 64.0
         while self._now_s < until_s:
-            end_s = min(until_s, self._now_s + window_s)
+            end_s = min(until_s, self._now_s + self._window_s)
             if end_s <= self._now_s:  # the window is shorter than a unit in the last place of the time
                 end_s = until_s
             steps = self._engine.n_steps
             self._engine.advance(end_s)
             steps = self._engine.n_steps - steps
-            window_s *= min(4.0, max(0.25, _STEPS_AT_ONCE / max(1, steps)))
+            if steps > _STEPS_AT_ONCE or end_s < until_s:
+                self._window_s *= min(4.0, max(0.25, _STEPS_AT_ONCE / max(1, steps)))
             self._now_s = end_s
             self._gather_legs()
             yield self._engine.take_events()
