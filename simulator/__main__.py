@@ -1,4 +1,4 @@
-"""Command line of the simulator: ``run`` writes a run's files, ``serve`` stands in for a dongle, ``scenarios`` lists what there is."""
+"""Command line of the simulator: ``run`` writes a run's files, ``serve`` stands in for a dongle, ``render`` draws."""
 
 import argparse
 import os
@@ -12,8 +12,9 @@ from firmware_protocol.errors import ConfigurationError
 from simulator import arena_flags
 from simulator.config import RunConfig
 from simulator.config_sources import load_config
-from simulator.errors import ParameterError, ScenarioError, SimulationError
+from simulator.errors import InterruptedRunError, ParameterError, ScenarioError, SimulationError
 from simulator.log import set_up_logging
+from simulator.motion import WallLaw
 
 _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 
@@ -21,7 +22,7 @@ _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    parser = _make_parser(with_serve="serve" in given)
+    parser = _make_parser(given)
     args = parser.parse_args(given)
     try:
         status = _dispatch(args, parser)
@@ -30,6 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(error.problems, status=_EXIT_USAGE)
     except (ScenarioError, ParameterError) as error:
         return _complain([str(error)], status=_EXIT_USAGE)
+    except InterruptedRunError as error:
+        return _complain([str(error)], status=_EXIT_INTERRUPTED)
     except SimulationError as error:
         return _complain([str(error)], status=_EXIT_FAILED)
     except BrokenPipeError:
@@ -47,10 +50,20 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         from simulator import serve  # noqa: PLC0415
 
         return serve.main(args)
+    if args.command == "render":
+        from simulator import render  # noqa: PLC0415
+
+        return render.main(args)
     if args.command == "scenarios":
         from simulator.listing import list_scenarios  # noqa: PLC0415
 
         print(list_scenarios(as_json=args.json))
+        return 0
+    if args.command == "resume":
+        from simulator.run import resume  # noqa: PLC0415
+
+        set_up_logging()
+        resume(args.snapshot_file, out=args.out, force=args.force)
         return 0
     if args.command == "run" or args.check_config:
         config = load_config(RunConfig, args)
@@ -71,10 +84,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         run(config)
         return 0
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, serve or scenarios"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, resume, serve, render or scenarios"], status=_EXIT_USAGE)
 
 
-def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
+def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="biobot-sim", description="Simulated insects with backpacks: whole runs as files, or live behind a virtual dongle."
     )
@@ -83,12 +96,23 @@ def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="walk a whole run as fast as possible and write encounters, modes and truth")
     _add_common(run, is_command=True)
     _add_run_arguments(run)
+    resume = commands.add_parser("resume", help="finish a run that was interrupted, from its snapshot")
+    _add_common(resume, is_command=True)
+    resume.add_argument("snapshot_file", type=Path, metavar="SNAPSHOT", help="file that 'run --snapshot' wrote; it is kept up to date")
+    resume.add_argument("--out", metavar="DIR", help="directory for the results (default: the run's)")
+    resume.add_argument("--force", action="store_true", help="write into a directory that is not empty")
     serve = commands.add_parser("serve", help="walk in real time behind a virtual coordinator, for a gateway to listen to")
     _add_common(serve, is_command=True)
-    if with_serve:
+    if "serve" in given:
         from simulator import serve as serve_module  # noqa: PLC0415  # the other commands need none of its imports
 
         serve_module.add_arguments(serve)
+    render = commands.add_parser("render", help="make pictures, films or a page of a run that is on disk")
+    _add_common(render, is_command=True)
+    if "render" in given:
+        from simulator import render as render_module  # noqa: PLC0415  # same
+
+        render_module.add_arguments(render)
     scenarios = commands.add_parser("scenarios", help="list scenarios and presets")
     _add_common(scenarios, is_command=True)
     scenarios.add_argument("--json", action="store_true", help="as JSON, with the source of every value")
@@ -122,6 +146,19 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("--seed", type=int, metavar="N", help="same seed, same run")
     run.add_argument("--out", metavar="DIR", help="directory for the results; made if missing")
     run.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")
+    run.add_argument("--snapshot", metavar="FILE", help="keep the run in this file, for 'resume' after a signal")
+    run.add_argument("--snapshot-every", dest="snapshot_every_s", type=float, metavar="S", help="also each S seconds of the run")
+    run.add_argument("--watch", action="store_true", default=None, help="show the insects in the terminal while they walk")
+    run.add_argument("--watch-speed", type=float, metavar="X", help="and no faster than X seconds of the run in one of ours")
+    add_motion_arguments(run)
+
+
+def add_motion_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of how insects move; all keys of the table ``motion`` can be given in TOML or by variables."""
+    laws = [law.value for law in WallLaw]
+    parser.add_argument("--wall-law", dest="motion.wall_law", choices=laws, help="what insects do at walls (default: the preset's)")
+    parser.add_argument("--persistence", dest="motion.persistence", type=float, metavar="G", help="mean cosine of turns, 0 to 0.999")
+    parser.add_argument("--levy", dest="motion.levy_exponent", type=float, metavar="MU", help="power-law legs with this exponent")
 
 
 def _complain(problems: Sequence[str], *, status: int) -> int:

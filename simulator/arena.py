@@ -74,6 +74,28 @@ class Arena:
         inside[inside] = clear
         return inside
 
+    def nearest_room(self, points: Floats) -> Floats:
+        """Return each of some points (shape (n, 2) [length]), or where it has no room, the nearest place that has some.
+
+        Raises
+        ------
+        ArenaError
+            No place near a point has room: the arena is thinner there than twice the margin.
+        """
+        crowded = np.flatnonzero(~self.has_room(points))
+        if not crowded.size:
+            return points
+        room = self.polygon.buffer(-4.0 * self.margin)
+        moved = points.copy()
+        if not room.is_empty:
+            nearest = shapely.shortest_line(room, shapely.points(points[crowded]))
+            moved[crowded] = shapely.get_coordinates(nearest)[::2]
+        if room.is_empty or not self.has_room(moved[crowded]).all():
+            raise ArenaError(
+                source="arena", problem=f"no room for an insect near {tuple(points[crowded[0]].tolist())}; widen the arena there"
+            )
+        return moved
+
     def draw_places(self, *, seed: int, ids: NDArray[np.uint64]) -> Floats:
         """Draw a place for each biobot, uniformly over the area.
 

@@ -1,34 +1,16 @@
-"""What a run is made of: motion, ranges and the run's own parameters."""
+"""What a run is made of: ranges, and the configuration of a run."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import msgspec
 
 from simulator.errors import ParameterError
+from simulator.motion import MotionParameters, WallLaw
 
 # Beyond this, a float of seconds rounds more coarsely than insects keep away from walls.
 _MAX_TIME_S = 1e7
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MotionParameters:
-    """Parameters of the correlated random walk, [Dir16] eq. (1).
-
-    Parameters
-    ----------
-    speed
-        v_m [length/s].
-    mean_leg
-        l*, the mean length of a straight leg [length].
-    """
-
-    speed: float
-    mean_leg: float
-
-    def __post_init__(self) -> None:
-        _need_positive(speed=self.speed, mean_leg=self.mean_leg)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +40,60 @@ def _need_positive(**values: float) -> None:
             raise ParameterError(name=name, got=got, wanted="a positive finite number")
 
 
+_Hazard = Annotated[float, msgspec.Meta(ge=0, le=1e6)] | None
+_Positive = Annotated[float, msgspec.Meta(gt=0)] | None
+_Share = Annotated[float, msgspec.Meta(ge=0, le=1)] | None
+_Gain = Annotated[float, msgspec.Meta(ge=0)] | None
+
+
+class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How insects move, where it is to differ from the preset; every key is that of ``simulator.motion.MotionParameters``.
+
+    Attributes
+    ----------
+    persistence, levy_exponent, longest_leg
+        Of the walk in the open.
+    wall_law, wall_speed, exit_hazard, departure_median_deg, departure_log_sd
+        At walls: ``uniform``, ``cosine``, ``mirror`` or ``follow``.
+    stop_hazard, wall_stop_hazard, short_rest_s, long_rest_s, long_rest_share
+        Natural stops.
+    contact_radius, contact_turns, company_stop_gain, company_rest_gain
+        Between insects that touch.
+    mishap_hazard, mishap_rest_s, rescue_probability, death_hazard, loss_hazard, battery_life_s, battery_spread
+        What goes wrong.
+    """
+
+    persistence: Annotated[float, msgspec.Meta(ge=0, le=0.999)] | None = None
+    levy_exponent: Annotated[float, msgspec.Meta(gt=1, le=20)] | None = None
+    longest_leg: _Positive = None
+    wall_law: WallLaw | None = None
+    wall_speed: _Positive = None
+    exit_hazard: _Hazard = None
+    departure_median_deg: Annotated[float, msgspec.Meta(gt=0, le=180)] | None = None
+    departure_log_sd: _Gain = None
+    stop_hazard: _Hazard = None
+    wall_stop_hazard: _Hazard = None
+    short_rest_s: _Gain = None
+    long_rest_s: _Gain = None
+    long_rest_share: _Share = None
+    contact_radius: _Gain = None
+    contact_turns: bool | None = None
+    company_stop_gain: _Gain = None
+    company_rest_gain: _Gain = None
+    mishap_hazard: _Hazard = None
+    mishap_rest_s: _Gain = None
+    rescue_probability: _Share = None
+    death_hazard: _Hazard = None
+    loss_hazard: _Hazard = None
+    battery_life_s: _Positive = None
+    battery_spread: _Share = None
+
+    def over(self, preset: MotionParameters) -> MotionParameters:
+        """Return a preset's motion with what is given here in place of it. Raises ParameterError where the two do not fit."""
+        given = {name: value for name in self.__struct_fields__ if (value := getattr(self, name)) is not None}
+        return replace(preset, **given)
+
+
 class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which world to make: the part of the configuration that every command shares.
 
@@ -85,6 +121,8 @@ class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         In the preset's unit of length; a detection radius given alone scales the communication radius with it.
     seed
         0 to 2^64 - 1.
+    motion
+        How insects move, where it is to differ from the preset.
     """
 
     seed: Annotated[int, msgspec.Meta(ge=0)] | None = None
@@ -102,6 +140,7 @@ class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     mean_leg: Annotated[float, msgspec.Meta(gt=0)] | None = None
     detection_radius: Annotated[float, msgspec.Meta(gt=0)] | None = None
     communication_radius: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    motion: MotionConfig = MotionConfig()
 
     def __post_init__(self) -> None:
         problems = []
@@ -168,8 +207,26 @@ class RunConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         Write into a directory that is not empty, replacing files of an earlier run.
     position_samples
         At how many instants, evenly from start to end, all positions are written.
+    snapshot
+        File in which the run is kept so that ``biobot-sim resume`` can take it up after a signal.
+    snapshot_every_s
+        Also write it whenever this much of the run's time has passed [s].
+    watch
+        Show the insects in the terminal while they walk.
+    watch_speed
+        Let so many seconds of the run pass in one of ours, instead of as many as can; asks for ``watch``.
     """
 
     out: str | None = None
     force: bool = False
+    snapshot: str | None = None
+    snapshot_every_s: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    watch: bool = False
+    watch_speed: Annotated[float, msgspec.Meta(gt=0, le=1e6)] | None = None
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.snapshot_every_s is not None and self.snapshot is None:
+            msg = "snapshot_every_s is given without snapshot, the file to write; give --snapshot FILE"
+            raise ValueError(msg)

@@ -17,7 +17,7 @@ _MAX_BYTES = 1024 * 1024
 
 
 def load_config(config_type: type[ConfigT], args: argparse.Namespace) -> ConfigT:
-    """Build a command's configuration; a flag belongs to the field that its ``dest`` names.
+    """Build a command's configuration; a flag belongs to the field that its ``dest`` names, dotted within tables.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def load_config(config_type: type[ConfigT], args: argparse.Namespace) -> ConfigT
         toml_name=str(args.config),
         environment=os.environ,
         environment_prefix=_ENVIRONMENT_PREFIX,
-        flags={name: getattr(args, name, None) for name in config_type.__struct_fields__},
+        flags={name: value for name, value in vars(args).items() if name.split(".")[0] in config_type.__struct_fields__},
     )
 
 

@@ -80,3 +80,54 @@ class LineError(SimulationError):
         self.line = line
         self.problem = problem
         super().__init__(f"{line}: {problem}")
+
+
+class EngineMissingError(SimulationError):
+    """The compiled engine is not there or does not fit: install the package anew, with a C compiler at hand."""
+
+    def __init__(self, *, path: Path, problem: str) -> None:
+        self.path = path
+        super().__init__(
+            f"{path}: the simulator's engine cannot be loaded ({problem}); install the package again where there is a C compiler "
+            "(gcc or clang): 'make venv' in a checkout, 'pip install .' elsewhere"
+        )
+
+
+class EngineMemoryError(SimulationError):
+    """The engine ran out of memory: take fewer biobots or less time at once."""
+
+    def __init__(self, *, n_biobots: int, at_s: float) -> None:
+        super().__init__(f"out of memory at {at_s:g} s with {n_biobots} biobots; take fewer biobots or less time")
+
+
+class SnapshotError(SimulationError):
+    """The bytes are no snapshot that this program can take up: use the program that wrote it, or begin anew."""
+
+    def __init__(self, *, source: str, problem: str) -> None:
+        self.source = source
+        super().__init__(f"{source}: {problem}; wanted a whole snapshot, written by this version of the simulator on this kind of machine")
+
+
+class InterruptedRunError(SimulationError):
+    """A signal ended a run, and its snapshot was written: resume it."""
+
+    def __init__(self, *, snapshot: Path, t_s: float) -> None:
+        self.snapshot = snapshot
+        super().__init__(f"interrupted at {t_s:g} s; go on with: biobot-sim resume {snapshot}")
+
+
+class RunFileError(SimulationError):
+    """A run that was to be read is not there, not whole or not understood: name the directory of a finished run."""
+
+    def __init__(self, *, path: Path, problem: str) -> None:
+        self.path = path
+        self.problem = problem
+        super().__init__(f"{path}: {problem}")
+
+
+class MissingLibraryError(SimulationError):
+    """An optional library is not installed: install it, or ask for something that does without."""
+
+    def __init__(self, *, library: str, needed_for: str, remedy: str) -> None:
+        self.library = library
+        super().__init__(f"the library {library} is not installed; wanted for {needed_for}: {remedy}")

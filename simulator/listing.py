@@ -1,6 +1,7 @@
 """``biobot-sim scenarios``: what scenarios and presets there are."""
 
 import json
+from dataclasses import asdict
 
 from simulator.presets import DEFAULT_PRESET, PRESETS
 from simulator.scenarios import SCENARIOS
@@ -34,8 +35,7 @@ def list_scenarios(*, as_json: bool) -> str:
                 "unit_of_length": preset.unit,
                 "values": {
                     "side": preset.side,
-                    "speed": preset.motion.speed,
-                    "mean_leg": preset.motion.mean_leg,
+                    **asdict(preset.motion),
                     "detection": preset.ranges.detection,
                     "communication": preset.ranges.communication,
                     "biobots": preset.biobots,

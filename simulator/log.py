@@ -1,9 +1,12 @@
 """Logs as events with fields, on stderr: readable on a terminal, one JSON object a line otherwise."""
 
+import contextlib
 import json
 import logging
 import sys
+from collections.abc import Iterator
 from datetime import UTC, datetime
+from typing import TextIO
 
 _ROOT = "simulator"
 _FIELDS = "biobot_fields"
@@ -45,6 +48,19 @@ def set_up_logging(*, level: str = "INFO") -> None:
     logger.handlers = [handler]
     logger.setLevel(level)
     logger.propagate = False
+
+
+@contextlib.contextmanager
+def diverted_logs(stream: TextIO) -> Iterator[None]:
+    """Send what is logged to another stream for a while."""
+    handlers = [one for one in logging.getLogger(_ROOT).handlers if isinstance(one, logging.StreamHandler)]
+    before = [handler.setStream(stream) for handler in handlers]
+    try:
+        yield
+    finally:
+        for handler, old in zip(handlers, before, strict=True):
+            if old is not None:
+                handler.setStream(old)
 
 
 class _JsonFormatter(logging.Formatter):

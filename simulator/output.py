@@ -41,6 +41,11 @@ class OutputDirectory:
         except OSError as error:
             raise OutputError(path=path, problem=f"cannot be written: {error.strerror or error}") from error
 
+    @property
+    def path(self) -> Path:
+        """Where results go."""
+        return self._path
+
     def __enter__(self) -> Self:
         return self
 
@@ -71,3 +76,14 @@ class OutputDirectory:
                 (self._staging / name).replace(self._path / name)
         except OSError as error:
             raise OutputError(path=self._path, problem=f"cannot be written: {error.strerror or error}") from error
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that appears whole or not at all, in place of what it may hold. Raises OutputError."""
+    fresh = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        fresh.write_bytes(content)
+        fresh.replace(path)
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        raise OutputError(path=path, problem=f"cannot be written: {error.strerror or error}") from error

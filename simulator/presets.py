@@ -1,18 +1,25 @@
-"""Presets: full sets of parameters, among them the two readings of the units that [Dir16] printed.
+"""Presets: full sets of parameters, each value with its source; among them the two readings of the units that [Dir16] printed.
 
 [Dir16] VI prints v_m = 0.1 m/s, l* = 0.30 m, r_d = 1 cm, 150 biobots, 200 s and an arena of 50 m x 50 m. Those numbers together
 give about two encounters in the whole run, so they cannot be the ones used. ``paper-50cm`` keeps every number printed for a
 biobot and takes the arena as 50 cm; ``paper-units`` keeps the 50 and takes speed and radius as 1.
 
 [Dir16]: A. Dirafzoon, A. Bozkurt, E. Lobaton, "Geometric Learning and Topological Inference with Biobotic Networks", 2016.
+[Jea03]: R. Jeanson et al., "A model of animal movements in a bounded space", J. Theor. Biol. 225, 2003 (values after a secondary
+transcription; the primary was not at hand).
+[Jea05]: R. Jeanson et al., "Self-organized aggregation in cockroaches", Anim. Behav. 69, 2005 (abstract).
+[Eri15]: J. C. Erickson et al., "Effective stimulus parameters for directed locomotion in Madagascar hissing cockroach biobot",
+PLoS ONE 10, 2015.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from simulator.config import MotionParameters, Ranges
+from simulator.config import Ranges
 from simulator.errors import ScenarioError
+from simulator.motion import MotionParameters, WallLaw
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +38,8 @@ class Preset:
         Time from the moment the landmarks are set to the end [s].
     dispersion_s
         Time walked before that moment [s].
+    scenario
+        Arena that goes with it where none is named; None where there is no such.
     sources
         Field name to source.
     """
@@ -45,6 +54,7 @@ class Preset:
     landmarks: int
     duration_s: float
     dispersion_s: float
+    scenario: str | None = None
     sources: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
 
@@ -102,6 +112,109 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
                     "speed": _PRINTED,
                     "mean_leg": _PRINTED,
                     "detection": _PRINTED,
+                }
+            ),
+        ),
+        "jeanson-larva": Preset(
+            name="jeanson-larva",
+            summary="first-instar Blattella germanica in a dish of 11 cm: walls followed, natural stops [Jea03]",
+            unit="m",
+            side=0.11,
+            motion=MotionParameters(
+                speed=0.011,
+                mean_leg=0.0232,
+                wall_law=WallLaw.FOLLOW,
+                wall_speed=0.0106,
+                exit_hazard=0.12,
+                departure_median_deg=36.6,
+                departure_log_sd=math.log(2.14),
+                stop_hazard=0.03,
+                wall_stop_hazard=0.08,
+                short_rest_s=5.87,
+                long_rest_s=700.0,
+                long_rest_share=0.07,
+                contact_radius=0.003,
+                contact_turns=True,
+                company_stop_gain=1.0,
+                company_rest_gain=1.0,
+            ),
+            ranges=Ranges(detection=0.01, communication=0.03),
+            biobots=30,
+            landmarks=5,
+            duration_s=1800.0,
+            dispersion_s=60.0,
+            scenario="disc",
+            sources=MappingProxyType(
+                {
+                    "side": "11 cm: from memory of [Jea03], not confirmed",
+                    "speed": "11.0 mm/s in the central zone [Jea03]",
+                    "mean_leg": "transport mean free path 23.2 mm [Jea03], walked with isotropic turns (equal diffusion)",
+                    "wall_law": "larvae follow walls [Jea03]",
+                    "wall_speed": "10.6 mm/s in the peripheral zone [Jea03]",
+                    "exit_hazard": "0.12 /s [Jea03]",
+                    "departure_median_deg": "log-normal, geometric mean 36.6 degrees [Jea03]",
+                    "departure_log_sd": "log-normal, geometric standard deviation 2.14 [Jea03]",
+                    "stop_hazard": "0.03 /s in the central zone [Jea03]",
+                    "wall_stop_hazard": "0.08 /s in the peripheral zone [Jea03]",
+                    "short_rest_s": "mean 5.87 s [Jea03]",
+                    "long_rest_s": "mean 700 s [Jea03]",
+                    "long_rest_share": "7 % of stops [Jea03]",
+                    "contact_radius": "3 mm, the length of an antenna [Jea03]",
+                    "contact_turns": "own choice: larvae turn away from a touch",
+                    "company_stop_gain": "own choice; that stopping grows with neighbours is [Jea05], its table was not at hand",
+                    "company_rest_gain": "own choice; that rests grow with neighbours is [Jea05], its table was not at hand",
+                    "detection": "own choice: 1 cm, as [Dir16] prints",
+                    "communication": "own choice: 3 cm, for about 9 neighbours each, so that there are hops to count",
+                    "biobots": "own choice",
+                    "landmarks": "own choice: a sixth",
+                    "duration_s": "own choice: half an hour",
+                    "dispersion_s": "own choice: a minute, twenty crossings of a mean free path",
+                }
+            ),
+        ),
+        "hisser-field": Preset(
+            name="hisser-field",
+            summary="forty Gromphadorhina portentosa with backpacks in a room of 5 m for an hour",
+            unit="m",
+            side=5.0,
+            motion=MotionParameters(
+                speed=0.04,
+                mean_leg=0.5,
+                stop_hazard=0.01,
+                short_rest_s=5.87,
+                long_rest_s=120.0,
+                long_rest_share=0.07,
+                contact_radius=0.06,
+                contact_turns=True,
+                mishap_hazard=1.0 / 7200.0,
+                mishap_rest_s=300.0,
+                rescue_probability=0.5,
+            ),
+            ranges=Ranges(detection=0.5, communication=1.5),
+            biobots=40,
+            landmarks=8,
+            duration_s=3600.0,
+            dispersion_s=120.0,
+            sources=MappingProxyType(
+                {
+                    "side": "own choice: a room of 5 m x 5 m, between the arenas of published trials",
+                    "speed": "4 cm/s; 3.9 to 5.6 cm/s under stimulation [Eri15], free walking not published",
+                    "mean_leg": "own choice: 0.5 m, a tenth of the side; not published",
+                    "stop_hazard": "assumption: a third of the larva's in the open [Jea03]",
+                    "short_rest_s": "the larva's, mean 5.87 s [Jea03]; the hisser's is not published",
+                    "long_rest_s": "assumption: two minutes, of an animal kept awake by its pack",
+                    "long_rest_share": "the larva's, 7 % [Jea03]",
+                    "contact_radius": "6 cm, the length of the body",
+                    "contact_turns": "own choice: insects turn away from a touch",
+                    "mishap_hazard": "assumption: once in two hours of walking",
+                    "mishap_rest_s": "assumption: five minutes until it frees itself",
+                    "rescue_probability": "assumption; that neighbours free stuck ones was seen in swarm trials (Nat. Commun. 2024)",
+                    "detection": "0.5 m: what beacons once a second at 4 cm/s can tell; 0.25 m works too",
+                    "communication": "own choice: 1.5 m, for about 11 neighbours each, so that there are hops to count",
+                    "biobots": "own choice: 20 to 60 make sense",
+                    "landmarks": "own choice: a fifth",
+                    "duration_s": "own choice: an hour",
+                    "dispersion_s": "own choice: two minutes, one crossing of the room",
                 }
             ),
         ),

@@ -1,24 +1,26 @@
-"""A whole run as fast as it goes: dispersion, landmark selection, exploration, files."""
+"""A whole run as fast as it goes: its files, its progress, its snapshots."""
 
+import contextlib
+import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
-from firmware_protocol.landmarks import select_landmarks
 from simulator.config import RunConfig
-from simulator.events import EncounterEnded, Event
+from simulator.errors import InterruptedRunError, OutputError, SnapshotError
+from simulator.expedition import Expedition
 from simulator.log import EventLog
-from simulator.output import OutputDirectory
-from simulator.setting import choose_setting
-from simulator.truth import TruthRecorder
-from simulator.world import World
+from simulator.output import OutputDirectory, write_whole
+from simulator.watch import Watch
 
 log = EventLog(__name__)
 
 _BAR_WIDTH = 40
+# So many pauses a run, at least, in which it can be stopped with its snapshot.
+_PAUSES = 200
 
 
 def run(config: RunConfig) -> None:
@@ -29,44 +31,103 @@ def run(config: RunConfig) -> None:
     ConfigurationError
         Something needed is not given.
     SimulationError
-        The setting makes no sense, or the results cannot be written; nothing is left behind.
+        The setting makes no sense, or the results cannot be written; nothing is left behind but the snapshot asked for.
     """
     if config.out is None:
         raise ConfigurationError(["give --out DIR, where the results go"])
-    setting = choose_setting(config)
     with OutputDirectory(Path(config.out), force=config.force) as output:
-        began_s = time.perf_counter()
-        world = World(setting.arena, motion=setting.motion, ranges=setting.ranges, ids=setting.ids, seed=setting.seed)
-        recorder = TruthRecorder(world)
-        total_s = setting.dispersion_s + setting.duration_s
-        show = _show_bar(total_s) if sys.stderr.isatty() else None
-        recorder.record(world.advance(setting.dispersion_s, progress=show))
-        landmarks = select_landmarks(world.adjacency(), count=setting.landmarks)
-        for landmark in landmarks:
-            world.stop(landmark)
-        events: list[Event] = []
-        for change in setting.arena_changes:
-            events += world.advance(setting.dispersion_s + change.at_s, progress=show)
-            world.replace_arena(change.arena)
-        events += world.advance(total_s, progress=show)
-        recorder.record(events)
-        if show is not None:
-            sys.stderr.write("\n")
-        wall_time_s = round(time.perf_counter() - began_s, 3)
-        description = {
-            "program": "biobot-sim run",
-            "version": version("biobot-gateway"),
-            **setting.describe(),
-            "landmark_ids": sorted(landmarks),
-            "wall_time_s": wall_time_s,
-        }
-        output.commit(
-            recorder.files(
-                zero_s=setting.dispersion_s, run=description, position_samples=config.position_samples, changes=setting.arena_changes
-            )
-        )
-    n_ended = sum(isinstance(event, EncounterEnded) for event in events)
-    log.info("run.done", out=config.out, encounters=n_ended + len(world.open_encounters()), wall_time_s=wall_time_s)
+        _finish(Expedition(config), output, config)
+
+
+def resume(snapshot: Path, *, out: str | None, force: bool) -> None:
+    """Take a run up where its snapshot was made, and finish it as ``run`` does.
+
+    Parameters
+    ----------
+    snapshot
+        File written by a run with ``snapshot`` set; it is kept up to date from here on.
+    out
+        Directory for the results, where not the one that the run was begun with.
+
+    Raises
+    ------
+    SnapshotError
+        The file cannot be read or is no whole snapshot of this version.
+    ConfigurationError, SimulationError
+        As for ``run``.
+    """
+    try:
+        content = snapshot.read_bytes()
+    except OSError as error:
+        raise SnapshotError(source=str(snapshot), problem=f"it cannot be read: {error.strerror or error}") from error
+    expedition = Expedition.resume(content, source=str(snapshot))
+    log.info("run.resumed", snapshot=str(snapshot), t_s=round(expedition.world.now_s, 3), of_s=expedition.total_s)
+    config = expedition.config
+    place = out or config.out
+    if place is None:
+        raise ConfigurationError(["give --out DIR, where the results go"])
+    with OutputDirectory(Path(place), force=force or config.force) as output:
+        _finish(expedition, output, config, snapshot=snapshot)
+
+
+def _finish(expedition: Expedition, output: OutputDirectory, config: RunConfig, *, snapshot: Path | None = None) -> None:
+    began_s = time.perf_counter()
+    place = snapshot or (None if config.snapshot is None else Path(config.snapshot))
+    with _shown(expedition, config) as walk:
+        _advance_to_the_end(expedition, walk, snapshot=place, every_s=config.snapshot_every_s)
+    wall_time_s = round(time.perf_counter() - began_s, 3)
+    files = expedition.files(program="biobot-sim run", version=version("biobot-gateway"), wall_time_s=wall_time_s)
+    output.commit(files)
+    log.info("run.done", out=str(output.path), encounters=expedition.n_encounters, wall_time_s=wall_time_s)
+
+
+def _advance_to_the_end(expedition: Expedition, walk: Callable[[float], None], *, snapshot: Path | None, every_s: float | None) -> None:
+    if snapshot is None:
+        expedition.advance(expedition.total_s, walk=walk)
+        return
+    with _noted_signals() as noted:
+        saved_s = expedition.world.now_s
+        while not expedition.is_over:
+            step_s = expedition.total_s / _PAUSES if every_s is None else min(every_s, expedition.total_s / _PAUSES)
+            expedition.advance(expedition.world.now_s + step_s, walk=walk)
+            is_due = every_s is not None and expedition.world.now_s - saved_s >= every_s and not expedition.is_over
+            if is_due and not noted:
+                saved_s = expedition.world.now_s
+                try:
+                    write_whole(snapshot, expedition.save())
+                except OutputError as error:  # the run is worth more than its snapshot
+                    log.warning("snapshot.failed", problem=str(error))
+            if noted:
+                write_whole(snapshot, expedition.save())
+                raise InterruptedRunError(snapshot=snapshot, t_s=expedition.world.now_s)
+
+
+@contextlib.contextmanager
+def _noted_signals() -> Iterator[list[int]]:
+    """Collect SIGINT and SIGTERM instead of obeying them at once."""
+    noted: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: noted.append(number)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield noted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _shown(expedition: Expedition, config: RunConfig) -> Iterator[Callable[[float], None]]:
+    """Give what lets time run and shows how far it is: a picture, a bar, or nothing where nobody looks."""
+    setting, world, recorder = expedition.setting, expedition.world, expedition.recorder
+    if config.watch or config.watch_speed is not None:
+        title = f"{setting.arena_name}, {setting.preset}, seed {setting.seed}: {setting.biobots} biobots"
+        with Watch(world, title=title, zero_s=setting.dispersion_s, end_s=expedition.total_s) as watch:
+            yield lambda until_s: recorder.record(watch.advance(until_s, speed=config.watch_speed))
+    elif sys.stderr.isatty():
+        show = _show_bar(expedition.total_s)
+        yield lambda until_s: recorder.record_run(world.run(until_s, progress=show))
+        sys.stderr.write("\n")
+    else:
+        yield lambda until_s: recorder.record_run(world.run(until_s))
 
 
 def _show_bar(total_s: float) -> Callable[[float], None]:

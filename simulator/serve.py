@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--boot", type=int, metavar="N", help="count of starts the backpacks tell (default: from the wall clock)")
     parser.add_argument("--out", metavar="DIR", help="directory for truth, reports and run.json; made if missing")
     parser.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")
+    parser.add_argument("--watch", action="store_true", default=None, help="show the insects in the terminal")
     parser.add_argument("--ready-file", metavar="FILE", help="holds the line's address while it is up")
 
 

@@ -44,6 +44,8 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
         Written with the line's address when it is up, removed at the end.
     position_samples
         At how many instants, evenly from start to end, all positions are written.
+    watch
+        Show the insects in the terminal while they walk.
     """
 
     link: str | None = None
@@ -59,6 +61,7 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
     out: str | None = None
     force: bool = False
     ready_file: str | None = None
+    watch: bool = False
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201
 
     def __post_init__(self) -> None:

@@ -27,6 +27,7 @@ from simulator.swarm import Swarm, SwarmConfig
 from simulator.tcp_port import TcpEnd
 from simulator.truth import TruthRecorder
 from simulator.virtual_serial import PtyEnd
+from simulator.watch import Watch
 from simulator.world import World
 
 log = EventLog(__name__)
@@ -65,6 +66,7 @@ class Service:
             speed_factor=config.speed_factor,
         )
         self._recorder = TruthRecorder(self._world) if config.out is not None else None
+        self._picture = _make_picture(config, setting, self._world)
         self._swarm = Swarm(self._world, config=_swarm_config(config, setting, boot=self._boot), observe=self._observe)
         self._changed_at_s: list[float] = []
         self._backlog = bytearray()
@@ -93,7 +95,7 @@ class Service:
                 self._swarm.end_at(round(self._config.duration_s * NS_PER_S))
             for number in (signal.SIGTERM, signal.SIGINT):
                 loop.add_signal_handler(number, self._take_signal)
-            with _ready_file(self._config.ready_file, line.address):
+            with _ready_file(self._config.ready_file, line.address), self._picture or contextlib.nullcontext():
                 log.info("serve.ready", line=line.address, biobots=self._setting.biobots, speed=self._config.speed_factor, boot=self._boot)
                 async with asyncio.TaskGroup() as group:
                     carriers = [group.create_task(self._receive(line)), group.create_task(self._send(line))]
@@ -129,6 +131,7 @@ class Service:
             zero_s=0.0,
             run=self._describe(),
             position_samples=self._config.position_samples,
+            arena=self._setting.arena,
             changes=self._setting.arena_changes[: len(self._changed_at_s)],
         )
         return {"reported.csv": self._swarm.reports.to_csv(), **truth}
@@ -205,16 +208,20 @@ class Service:
         if self._swarm.coordinator.is_open is not self._was_open:
             self._was_open = self._swarm.coordinator.is_open
             log.info("gateway.connected" if self._was_open else "gateway.gone")
-        if sys.stderr.isatty() and now_ns >= self._status_at_ns:
+        if self._picture is not None:
+            self._picture.show(more=self._state())
+        elif sys.stderr.isatty() and now_ns >= self._status_at_ns:
             self._status_at_ns = now_ns + _STATUS_PERIOD_NS
-            reports = self._swarm.reports
-            sys.stderr.write(
-                f"\r{now_ns / NS_PER_S:8.1f} s  {self._setting.biobots} biobots  gateway {'connected' if self._was_open else 'absent'}  "
-                f"{reports.n_reports} reports, {self._swarm.n_buffered} not yet taken  \x1b[K"
-            )
+            sys.stderr.write(f"\r{now_ns / NS_PER_S:8.1f} s  {self._setting.biobots} biobots  {self._state()}  \x1b[K")
             sys.stderr.flush()
 
+    def _state(self) -> str:
+        gateway = "connected" if self._was_open else "absent"
+        return f"gateway {gateway}  {self._swarm.reports.n_reports} reports, {self._swarm.n_buffered} not yet taken"
+
     def _observe(self, events: Sequence[Event]) -> None:
+        if self._picture is not None:
+            self._picture.note(events)
         if self._recorder is not None:
             self._recorder.record(events)
 
@@ -288,6 +295,13 @@ async def open_line(spec: LineSpec) -> SerialEnd:
             return await TcpEnd.listen(spec.target, spec.port, baud=spec.baud)
         case _:
             return SerialPortEnd(spec.target, baud=spec.baud or 115_200)
+
+
+def _make_picture(config: ServeConfig, setting: Setting, world: World) -> Watch | None:
+    if not config.watch:
+        return None
+    title = f"{setting.arena_name}, {setting.preset}, seed {setting.seed}: {setting.biobots} biobots at {config.link}"
+    return Watch(world, title=title, end_s=config.duration_s)
 
 
 def _swarm_config(config: ServeConfig, setting: Setting, *, boot: BootId) -> SwarmConfig:

@@ -2,15 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
 from simulator.arena import Arena, ArenaChange
 from simulator.arena_file import ArenaFile, load_arena_file
-from simulator.config import MotionParameters, Ranges, WorldConfig, parse_arena_then
-from simulator.errors import ParameterError
+from simulator.config import Ranges, WorldConfig, parse_arena_then
+from simulator.errors import ArenaError, ParameterError
 from simulator.log import EventLog
+from simulator.motion import MotionParameters
 from simulator.presets import Preset, find_preset
 from simulator.scenarios import find_scenario
 
@@ -88,6 +89,7 @@ class Setting:
                 "dispersion_s": self.dispersion_s,
                 "duration_s": self.duration_s,
             },
+            "motion": asdict(self.motion),
             "arena_area": self.arena.area,
             "betti_numbers": [self.arena.betti.components, self.arena.betti.holes],
             "arena_changes": self.describe_changes(),
@@ -126,11 +128,11 @@ def choose_setting(config: WorldConfig) -> Setting:
     ParameterError
         The parameters contradict each other, or would make a run without end.
     """
-    name = config.scenario if config.arena is None else config.arena
+    preset = find_preset(config.preset)
+    name = config.arena or config.scenario or preset.scenario
     if name is None or config.seed is None:
         given = {"give --scenario NAME or --arena FILE": name, "give --seed N: the same seed makes the same run": config.seed}
         raise ConfigurationError([what for what, value in given.items() if value is None])
-    preset = find_preset(config.preset)
     duration_s = config.duration_s or preset.duration_s
     file, changes = _load_arena(config, name=name, preset=preset, duration_s=duration_s)
     biobots = preset.biobots if config.biobots is None else config.biobots
@@ -144,7 +146,9 @@ def choose_setting(config: WorldConfig) -> Setting:
         arena=file.arena,
         preset=preset.name,
         unit=preset.unit,
-        motion=MotionParameters(speed=config.speed or preset.motion.speed, mean_leg=config.mean_leg or preset.motion.mean_leg),
+        motion=config.motion.over(
+            replace(preset.motion, speed=config.speed or preset.motion.speed, mean_leg=config.mean_leg or preset.motion.mean_leg)
+        ),
         ranges=Ranges(detection=detection, communication=communication),
         biobots=biobots,
         landmarks=landmarks,
@@ -173,6 +177,13 @@ def _load_arena(config: WorldConfig, *, name: str, preset: Preset, duration_s: f
         times_s.append(at_s)
         later.append(path)
     files = [_read_arena(path, config) for path in (name, *later)]
+    x_min, y_min, x_max, y_max = files[0].arena.bounds
+    for path, file in zip(later, files[1:], strict=True):
+        left, low, right, high = file.arena.bounds
+        if left < x_min or low < y_min or right > x_max or high > y_max:
+            raise ArenaError(
+                source=path, problem=f"it reaches beyond the bounds {files[0].arena.bounds} of {name}; wanted an arena within them"
+            )
     return files[0], tuple(ArenaChange(at_s=at_s, arena=file.arena) for at_s, file in zip(times_s, files[1:], strict=True))
 
 

@@ -13,14 +13,43 @@ import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from simulator.arena import ArenaChange
-from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
+from simulator.arena import Arena, ArenaChange
+from simulator.events import (
+    BackpackSilenced,
+    Cause,
+    EncounterBegan,
+    EncounterEnded,
+    EncounterTable,
+    Event,
+    Happenings,
+    Mode,
+    ModeChanged,
+    SilenceReason,
+)
 from simulator.geojson import dump_arena
 from simulator.legs import Floats
 from simulator.setting import change_file
 from simulator.world import World
+
+RUN_FORMAT = 1
+"""Told in ``run.json``; a new number for files that an older reader would misunderstand."""
+
+Integers = NDArray[np.int64]
+
+
+class RecorderState(msgspec.Struct, frozen=True, kw_only=True):
+    """What a recorder has collected: columns of encounters as bytes, modes and silences as they came."""
+
+    id1: bytes
+    id2: bytes
+    t_start_s: bytes
+    t_end_s: bytes
+    modes: dict[int, list[tuple[float, str, str]]]
+    silences: list[tuple[float, int, str]]
 
 
 class TruthRecorder:
@@ -30,15 +59,36 @@ class TruthRecorder:
     ----------
     world
         The world, before its first ``advance``. It remembers all paths, so places are computed only in the end.
+    state
+        What an earlier recorder of the same world had collected.
     """
 
-    __slots__ = ("_arena", "_encounters", "_modes", "_world")
+    __slots__ = ("_encounters", "_modes", "_silences", "_tables", "_world")
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, *, state: "RecorderState | None" = None) -> None:
         self._world = world
-        self._arena = world.arena  # the one to begin with
         self._encounters: list[EncounterEnded] = []
+        self._tables: list[EncounterTable] = []
+        self._silences: list[BackpackSilenced] = []
         self._modes: dict[int, list[tuple[float, Mode, Cause]]] = {one: [(0.0, Mode.CRW, Cause.NATURAL)] for one in world.ids}
+        if state is not None:
+            id1, id2 = (np.frombuffer(column, dtype=np.int64) for column in (state.id1, state.id2))
+            start_s, end_s = (np.frombuffer(column, dtype=np.float64) for column in (state.t_start_s, state.t_end_s))
+            self._tables.append(EncounterTable(id1=id1, id2=id2, t_start_s=start_s, t_end_s=end_s))
+            self._modes = {one: [(t_s, Mode(mode), Cause(cause)) for t_s, mode, cause in changes] for one, changes in state.modes.items()}
+            self._silences = [BackpackSilenced(t_s=t_s, id=one, reason=SilenceReason(reason)) for t_s, one, reason in state.silences]
+
+    def state(self) -> "RecorderState":
+        """Return what was collected so far, for a snapshot."""
+        id1, id2, start_s, end_s = self._columns()
+        return RecorderState(
+            id1=id1.tobytes(),
+            id2=id2.tobytes(),
+            t_start_s=start_s.tobytes(),
+            t_end_s=end_s.tobytes(),
+            modes={one: [(t_s, mode.value, cause.value) for t_s, mode, cause in changes] for one, changes in self._modes.items()},
+            silences=[(one.t_s, one.id, one.reason.value) for one in self._silences],
+        )
 
     def record(self, events: Iterable[Event]) -> None:
         """Take in what ``World.advance`` returned."""
@@ -48,11 +98,30 @@ class TruthRecorder:
                     self._encounters.append(event)
                 case ModeChanged():
                     self._modes[event.id].append((event.t_s, event.mode, event.cause))
+                case BackpackSilenced():
+                    self._silences.append(event)
                 case EncounterBegan():
                     pass
 
+    def record_run(self, run: Happenings) -> None:
+        """Take in what ``World.run`` returned."""
+        self._tables.append(run.ended)
+        self.record(run.changes)
+
+    def count_encounters(self, *, zero_s: float) -> int:
+        """Count the encounters that the files will tell of."""
+        _, _, start_s, end_s = self._columns()
+        still = sum(self._world.now_s > max(one.t_s, zero_s) for one in self._world.open_encounters())
+        return int(np.count_nonzero(end_s > np.maximum(start_s, zero_s))) + still
+
     def files(
-        self, *, zero_s: float, run: Mapping[str, object], position_samples: int = 201, changes: Sequence[ArenaChange] = ()
+        self,
+        *,
+        zero_s: float,
+        run: Mapping[str, object],
+        position_samples: int = 201,
+        arena: Arena | None = None,
+        changes: Sequence[ArenaChange] = (),
     ) -> dict[str, bytes]:
         """Make the content of every file, by name.
 
@@ -62,11 +131,13 @@ class TruthRecorder:
             The world's time that the files call 0 [s]: when the landmarks were set. What ended before is left out, and what
             was going on starts at 0.
         run
-            For ``run.json``; ``counts`` is added to it.
+            For ``run.json``; ``format`` and ``counts`` are added to it.
         position_samples
             Number of instants, at least 2, evenly from 0 to the present.
+        arena
+            The arena to begin with, where it has changed since.
         changes
-            What the arena became meanwhile; each gets a file of its own.
+            What it became meanwhile; each gets a file of its own.
 
         Notes
         -----
@@ -75,36 +146,63 @@ class TruthRecorder:
         rows, places = self._encounter_rows(zero_s)
         spells = self._mode_rows(zero_s)
         t_s = np.linspace(zero_s, self._world.now_s, position_samples)
-        ids = self._world.ids
-        positions = self._world.positions_of(np.repeat(ids, position_samples).tolist(), np.tile(t_s, len(ids)))
         truth = io.BytesIO()
         np.savez(
             truth,
             encounter_position=places,
             t_s=t_s - zero_s,
-            ids=np.array(ids, dtype=np.int64),
-            position=np.ascontiguousarray(positions.reshape(len(ids), position_samples, 2).transpose(1, 0, 2)),
+            ids=np.array(self._world.ids, dtype=np.int64),
+            position=self._world.positions_at(t_s),
         )
+        silences = [{"t_s": one.t_s - zero_s, "id": one.id, "reason": one.reason.value} for one in self._silences]
         counts = {"encounters": len(rows), "mode_spells": len(spells), "position_samples": position_samples}
+        about = {"format": RUN_FORMAT, **run, "silenced_backpacks": silences, "counts": counts}
         return {
             "encounters.csv": _csv(("t_start_s", "t_end_s", "id1", "id2"), rows),
             "modes.csv": _csv(("t_start_s", "t_end_s", "id", "mode", "cause"), spells),
             "truth.npz": truth.getvalue(),
-            "arena.geojson": dump_arena(self._arena).encode(),
+            "arena.geojson": dump_arena(arena or self._world.arena).encode(),
             **{change_file(number): dump_arena(change.arena).encode() for number, change in enumerate(changes, start=1)},
-            "run.json": (json.dumps({**run, "counts": counts}, indent=2) + "\n").encode(),
+            "run.json": (json.dumps(about, indent=2) + "\n").encode(),
         }
 
     def _encounter_rows(self, zero_s: float) -> tuple[list[tuple[str, str, int, int]], Floats]:
-        now_s = self._world.now_s
-        whole = [(one.t_start_s, one.t_end_s, one.id1, one.id2) for one in self._encounters if one.t_end_s > zero_s]
-        whole += [(one.t_s, now_s, one.id1, one.id2) for one in self._world.open_encounters() if now_s > max(one.t_s, zero_s)]
-        listed = [(*_times(max(start_s, zero_s), end_s, zero_s), id1, id2) for start_s, end_s, id1, id2 in whole]
-        order = sorted(range(len(listed)), key=lambda k: (float(listed[k][0]), float(listed[k][1]), *listed[k][2:]))
-        centres = np.array([(max(whole[k][0], zero_s) + whole[k][1]) / 2.0 for k in order], dtype=np.float64)
-        first = self._world.positions_of([whole[k][2] for k in order], centres)
-        second = self._world.positions_of([whole[k][3] for k in order], centres)
-        return [listed[k] for k in order], (first + second) / 2.0
+        id1, id2, start_s, end_s = self._columns()
+        still = self._world.open_encounters()
+        id1 = np.concatenate([id1, np.array([one.id1 for one in still], dtype=np.int64)])
+        id2 = np.concatenate([id2, np.array([one.id2 for one in still], dtype=np.int64)])
+        start_s = np.concatenate([start_s, np.array([one.t_s for one in still], dtype=np.float64)])
+        end_s = np.concatenate([end_s, np.full(len(still), self._world.now_s)])
+        start_s = np.maximum(start_s, zero_s)
+        kept = end_s > start_s
+        id1, id2, start_s, end_s = id1[kept], id2[kept], start_s[kept], end_s[kept]
+        # In order of the times as they are written, to the nanosecond.
+        written = [np.round(times - zero_s, 9) for times in (start_s, end_s)]
+        order = np.lexsort((id2, id1, written[1], written[0]))
+        id1, id2, start_s, end_s = id1[order], id2[order], start_s[order], end_s[order]
+        centres = (start_s + end_s) / 2.0
+        places = (self._world.positions_of(id1, centres) + self._world.positions_of(id2, centres)) / 2.0
+        rows = zip(start_s.tolist(), end_s.tolist(), id1.tolist(), id2.tolist(), strict=True)
+        return [(*_times(start, end, zero_s), one, other) for start, end, one, other in rows], places
+
+    def _columns(self) -> tuple[Integers, Integers, Floats, Floats]:
+        """Return both ids, start and end [s] of every encounter that has ended, shape (k,) each."""
+        alone = self._encounters
+        tables = [
+            EncounterTable(
+                id1=np.array([one.id1 for one in alone], dtype=np.int64),
+                id2=np.array([one.id2 for one in alone], dtype=np.int64),
+                t_start_s=np.array([one.t_start_s for one in alone], dtype=np.float64),
+                t_end_s=np.array([one.t_end_s for one in alone], dtype=np.float64),
+            ),
+            *self._tables,
+        ]
+        return (
+            np.concatenate([table.id1 for table in tables]),
+            np.concatenate([table.id2 for table in tables]),
+            np.concatenate([table.t_start_s for table in tables]),
+            np.concatenate([table.t_end_s for table in tables]),
+        )
 
     def _mode_rows(self, zero_s: float) -> list[tuple[str, str, int, str, str]]:
         rows = []

@@ -1,21 +1,48 @@
-"""The world: insects that walk in an arena, the encounters between them, and the commands that stop and start them.
+"""The world: insects that walk in an arena, the encounters between them, and the commands that move them.
 
 Time is continuous and is a float of seconds since the world was made: the one place where an instant is no integer, because
 encounters begin and end at the roots of quadratics. Nothing here reads a clock.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from simulator import draws
 from simulator.arena import Arena
-from simulator.config import MotionParameters, Ranges
-from simulator.encounters import ContactFinder, Contacts
-from simulator.errors import ParameterError, TimeError, UnknownBiobotError
-from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
-from simulator.legs import Floats, Indices, LegLog
-from simulator.walk import Walk
+from simulator.config import Ranges
+from simulator.engine import Engine
+from simulator.engine.binding import EVENT, KIND_BEGIN, KIND_END, KIND_MODE
+from simulator.engine.engine import Records
+from simulator.errors import ParameterError, SnapshotError, TimeError, UnknownBiobotError
+from simulator.events import (
+    BackpackSilenced,
+    Cause,
+    EncounterBegan,
+    EncounterEnded,
+    EncounterTable,
+    Event,
+    Happenings,
+    Mode,
+    ModeChanged,
+    SilenceReason,
+)
+from simulator.legs import Floats, Indices, Legs, in_order, join, locate
+from simulator.motion import MotionParameters
+from simulator.recipe import engine_config
+from simulator.snapshot import WorldParts, pack, unpack
+
+_LOSS_STREAM = 20
+_BATTERY_STREAM = 21
+
+# Steps of the engine between two reports of progress, about a tenth of a second's work.
+_STEPS_AT_ONCE = 200_000
+_FIRST_WINDOW_S = 1.0
+_MODES = (Mode.CRW, Mode.S)
+_CAUSES = (Cause.NATURAL, Cause.COMMAND)
 
 
 class World:
@@ -26,15 +53,20 @@ class World:
     arena
         Where they walk. Lengths are in its unit.
     motion
-        Speed and mean leg length.
+        How they walk.
     ranges
         Detection radius r_d (encounters) and communication radius r_c (neighbours).
     ids
-        Identities of the biobots, positive and all different. A biobot's path depends on the seed and its id alone.
+        Identities of the biobots, positive and all different. A biobot's draws depend on the seed and its id alone.
     seed
         0 to 2^64 - 1. Initial places are drawn uniformly over the arena.
     speed_factor
-        Multiplies speed, and with it every hazard per length walked; time is left as it is.
+        Multiplies speeds and hazards; time is left as it is.
+    torus
+        Take the arena's bounding square without its walls, its opposite sides joined: for comparison with theory that knows no walls.
+        Places are then told as if the plane went on, and sight and geodesics mean nothing.
+    keeps_legs
+        Remember every leg, so that places in the past can be told; 56 bytes a leg.
 
     Raises
     ------
@@ -42,6 +74,8 @@ class World:
         Ids are not positive, not all different, or none; the seed or the factor is out of range.
     ArenaError
         The arena leaves no room to place an insect.
+    EngineMissingError, EngineMemoryError
+        The compiled engine is not there, or memory is lacking.
 
     Notes
     -----
@@ -50,23 +84,30 @@ class World:
 
     __slots__ = (
         "_arena",
-        "_cause",
-        "_contacts",
-        "_current",
+        "_engine",
         "_ids",
-        "_live",
-        "_log",
-        "_mode",
+        "_keeps_legs",
+        "_known_legs",
+        "_lost_first",
         "_now_s",
-        "_open",
-        "_pending",
+        "_past",
         "_ranges",
         "_row",
-        "_walk",
+        "_torus",
+        "_window_s",
     )
 
     def __init__(
-        self, arena: Arena, *, motion: MotionParameters, ranges: Ranges, ids: Sequence[int], seed: int, speed_factor: float = 1.0
+        self,
+        arena: Arena,
+        *,
+        motion: MotionParameters,
+        ranges: Ranges,
+        ids: Sequence[int],
+        seed: int,
+        speed_factor: float = 1.0,
+        torus: bool = False,
+        keeps_legs: bool = True,
     ) -> None:
         if not ids or len(set(ids)) != len(ids) or not all(0 < one < 2**63 for one in ids):
             raise ParameterError(name="ids", got=list(ids)[:8], wanted="at least one id, all different, each from 1 to 2^63 - 1")
@@ -76,17 +117,23 @@ class World:
         self._ranges = ranges
         self._ids = tuple(sorted(ids))
         self._row = {one: row for row, one in enumerate(self._ids)}
-        self._mode = [Mode.CRW] * len(self._ids)
-        self._cause = [Cause.NATURAL] * len(self._ids)
         self._now_s = 0.0
-        self._pending: list[Event] = []
-        self._open: dict[tuple[int, int], float] = {}
-        self._log = LegLog()
-        self._walk = Walk(arena, speed=motion.speed * speed_factor, mean_leg=motion.mean_leg, ids=self._ids, seed=seed)
-        self._contacts = ContactFinder(arena, detection_radius=ranges.detection, speed=motion.speed * speed_factor)
-        # Each biobot begins with a rest of no length, so that its place is in the log before it first walks.
-        self._current = self._log.append(self._walk.rests(np.arange(len(self._ids)), t_start_s=0.0, t_end_s=0.0))
-        self._live = np.empty(0, dtype=np.int64)
+        self._torus = torus
+        self._keeps_legs = keeps_legs
+        self._past: list[Legs] = []
+        self._known_legs: Legs | None = None
+        self._window_s = _FIRST_WINDOW_S
+        keys = np.array(self._ids, dtype=np.uint64)
+        moved = motion.faster(speed_factor)
+        lost_s, flat_s = _draw_failures(moved, seed=seed, keys=keys)
+        self._lost_first = lost_s <= flat_s
+        self._engine = Engine(
+            engine_config(moved, ranges, seed=seed, period=arena.bounds[2] - arena.bounds[0] if torus else 0.0),
+            ids=keys,
+            places=arena.draw_places(seed=seed, ids=keys),
+            silent_from_s=np.minimum(lost_s, flat_s),
+            arena=None if torus else arena,
+        )
 
     @property
     def arena(self) -> Arena:
@@ -108,6 +155,11 @@ class World:
         """Detection and communication radius."""
         return self._ranges
 
+    @property
+    def n_steps(self) -> int:
+        """Events of all kinds worked off so far: legs, crossings of cells, encounters."""
+        return self._engine.n_steps
+
     def advance(self, until_s: float, *, progress: Callable[[float], None] | None = None) -> list[Event]:
         """Let time run to ``until_s`` [s] and return what happened in ``[now_s, until_s)``.
 
@@ -122,7 +174,7 @@ class World:
         Returns
         -------
         list of Event
-            By time; at one instant mode changes in the order of the commands, then ends, then beginnings, by ids. An
+            By time; at one instant mode changes in the order of the commands, then ends, then beginnings, by ids, then silences. An
             encounter ends and begins anew where a wall comes between the two.
 
         Raises
@@ -130,17 +182,16 @@ class World:
         TimeError
             ``until_s`` is before ``now_s`` or not finite.
         """
-        if not self._now_s <= until_s < float("inf"):
-            raise TimeError(got_s=until_s, wanted=f"a finite time not before the present, {self._now_s!r} s")
-        events: list[Event] = []
-        while self._now_s < until_s:
-            window_end_s = min(until_s, self._now_s + self._contacts.window_s(len(self._ids)))
-            if window_end_s <= self._now_s:  # the window is shorter than a unit in the last place of the time
-                window_end_s = until_s
-            events += self._advance_window(window_end_s)
-            if progress is not None:
-                progress(self._now_s)
-        return events
+        return [event for records in self._run(until_s, progress) for event in self._read(records)]
+
+    def run(self, until_s: float, *, progress: Callable[[float], None] | None = None) -> Happenings:
+        """Let time run as ``advance`` does, and return the encounters that ended as columns: for runs with many."""
+        parts = list(self._run(until_s, progress))
+        ends = np.concatenate([records[records["kind"] == KIND_END] for records in parts]) if parts else np.empty(0, dtype=EVENT)
+        others = [event for records in parts for event in self._read(records[_is_change(records)])]
+        ids = np.array(self._ids, dtype=np.int64)
+        table = EncounterTable(id1=ids[ends["first"]], id2=ids[ends["second"]], t_start_s=ends["met_s"].copy(), t_end_s=ends["t_s"].copy())
+        return Happenings(ended=table, changes=[one for one in others if isinstance(one, ModeChanged | BackpackSilenced)])
 
     def stop(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
         """Make a biobot stand still from now on; return whether its mode or cause changed.
@@ -149,49 +200,90 @@ class World:
         makes it a commanded one.
         """
         row = self._find(biobot_id)
-        if self._mode[row] is Mode.S and (self._cause[row] is cause or cause is Cause.NATURAL):
+        mode, present = self._state(row)
+        if mode is Mode.S and (present is cause or cause is Cause.NATURAL):
             return False
-        if self._mode[row] is Mode.CRW:
-            rows = np.array([row])
-            self._log.end(int(self._current[row]), at_s=self._now_s)
-            self._walk.halt(rows, *self._log.take(self._current[rows]).at(self._now_s))
-            self._begin(rows, self._log.append(self._walk.rests(rows, t_start_s=self._now_s, t_end_s=float("inf"))))
-        self._note(row, mode=Mode.S, cause=cause)
+        self._engine.stop(row, is_command=cause is Cause.COMMAND, at_s=self._now_s)
+        self._gather_legs()
         return True
 
     def start(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
         """Let a biobot walk from now on, in a new direction; return whether its mode changed.
 
-        The event comes with the next ``advance``. Starting a walking biobot changes nothing.
+        The event comes with the next ``advance``. Starting a walking biobot changes nothing, nor a dead, stuck or overturned one; one
+        that rests by itself gets up.
         """
         row = self._find(biobot_id)
-        if self._mode[row] is Mode.CRW:
+        if self._state(row)[0] is Mode.CRW:
             return False
-        self._log.end(int(self._current[row]), at_s=self._now_s)
-        self._walk.release(np.array([row]), at_s=self._now_s)
-        self._note(row, mode=Mode.CRW, cause=cause)
-        return True
+        changed = self._engine.go(row, is_command=cause is Cause.COMMAND, at_s=self._now_s)
+        self._gather_legs()
+        return changed
+
+    def turn(self, biobot_id: int, angle_rad: float) -> bool:
+        """Turn a biobot to the left (positive) or right [rad], and let it walk on from there; return whether it moved.
+
+        One that stands by command only turns; one that rests by itself gets up; one that is dead or stuck does nothing.
+        """
+        return self._steer(biobot_id, turns=angle_rad / (2.0 * math.pi), distance=0.0)
+
+    def run_straight(self, biobot_id: int, distance: float) -> bool:
+        """Let a biobot walk straight on for a distance [length], or to the next wall; return whether it moved, as ``turn``."""
+        if not (math.isfinite(distance) and distance > 0.0):
+            raise ParameterError(name="distance", got=distance, wanted="a positive finite length")
+        return self._steer(biobot_id, turns=0.0, distance=distance)
+
+    def silence(self, biobot_id: int) -> None:
+        """Switch a biobot's backpack off from now on: its open encounters end, and it has no more. The insect goes its way."""
+        self._engine.silence(self._find(biobot_id), at_s=self._now_s)
+
+    def replace_arena(self, arena: Arena) -> None:
+        """Let other walls stand from now on; insects where they come to stand are pushed to the nearest free place.
+
+        Raises
+        ------
+        ParameterError
+            The world is a torus.
+        ArenaError
+            The new arena reaches beyond the bounds of the old one.
+        """
+        if self._torus:
+            raise ParameterError(name="torus", got=True, wanted="a world with walls, where walls are to be replaced")
+        places = arena.nearest_room(self.positions())
+        self._engine.replace_walls(arena, places=places, at_s=self._now_s)
+        self._arena = arena
+        self._gather_legs()
 
     def mode(self, biobot_id: int) -> Mode:
         """Return the present mode of a biobot."""
-        return self._mode[self._find(biobot_id)]
+        return self._state(self._find(biobot_id))[0]
+
+    def modes(self) -> list[Mode]:
+        """Return the present mode of every biobot, in the order of ``ids``."""
+        return [_MODES[still] for still in self._engine.modes()[0].tolist()]
 
     def position(self, biobot_id: int, *, at_s: float | None = None) -> tuple[float, float]:
         """Return where a biobot is [length], or was at ``at_s`` [s]."""
-        row = self._find(biobot_id)
-        if at_s is not None and at_s != self._now_s:
-            place = self.positions_of([biobot_id], [at_s])[0]
-            return float(place[0]), float(place[1])
-        x, y = self._log.take(self._current[row : row + 1]).at(self._now_s)
-        return float(x[0]), float(y[0])
+        at = self._now_s if at_s is None else at_s
+        place = self.positions()[self._find(biobot_id)] if at == self._now_s else self.positions_of([biobot_id], [at])[0]
+        return float(place[0]), float(place[1])
 
     def positions(self, *, at_s: float | None = None) -> Floats:
         """Return where all biobots are, or were at ``at_s`` [s]: shape (n, 2) [length], rows as in ``ids``."""
         if at_s is not None and at_s != self._now_s:
-            return self.positions_of(self._ids, [at_s] * len(self._ids))
-        return np.column_stack(self._log.take(self._current).at(self._now_s))
+            past: Floats = self.positions_at([at_s])[0]
+            return past
+        places: Floats = np.column_stack(_to_legs(self._engine.current_legs()).at(self._now_s))
+        return places
 
-    def positions_of(self, biobot_ids: Sequence[int], t_s: Sequence[float] | Floats) -> Floats:
+    def positions_at(self, t_s: Sequence[float] | Floats) -> Floats:
+        """Return where all biobots were at each of some instants: shape (k, n, 2) [length]. Raises TimeError."""
+        times = self._check_times(t_s)
+        rows = np.repeat(np.arange(len(self._ids)), times.size)
+        places = self._places(rows, np.tile(times, len(self._ids)))
+        return np.ascontiguousarray(places.reshape(len(self._ids), times.size, 2).transpose(1, 0, 2))
+
+    def positions_of(self, biobot_ids: Sequence[int] | Indices, t_s: Sequence[float] | Floats) -> Floats:
         """Return where each of some biobots was at its instant.
 
         Parameters
@@ -210,12 +302,27 @@ class World:
         ------
         TimeError
             An instant lies before 0 or after the present.
+        UnknownBiobotError
+            An id is none of this world's.
         """
-        times = np.asarray(t_s, dtype=np.float64)
-        for wrong in times[~((times >= 0) & (times <= self._now_s))][:1]:
-            raise TimeError(got_s=float(wrong), wanted=f"a time from 0 to the present, {self._now_s!r} s")
-        rows = np.array([self._find(one) for one in biobot_ids], dtype=np.int64)
-        return np.column_stack(self._log.take(self._log.locate(rows, times)).at(times))
+        times = self._check_times(t_s)
+        asked = np.asarray(biobot_ids, dtype=np.int64)
+        known = np.array(self._ids, dtype=np.int64)
+        rows = np.minimum(np.searchsorted(known, asked), known.size - 1)
+        for wrong in asked[known[rows] != asked][:1].tolist():
+            self._find(wrong)
+        return self._places(rows, times)
+
+    def legs(self) -> Legs:
+        """Return every leg so far, by biobot, then start; those under way end now. Raises ParameterError where legs are not kept."""
+        if not self._keeps_legs:
+            raise ParameterError(name="keeps_legs", got=False, wanted="True, for places in the past to be told")
+        if self._known_legs is None:
+            current = self._engine.current_legs()
+            current["t_end_s"] = np.minimum(current["t_end_s"], self._now_s)
+            self._past = [join(self._past)] if self._past else []
+            self._known_legs = in_order(join([*self._past, _to_legs(current)]))
+        return self._known_legs
 
     def neighbours(self, biobot_id: int) -> set[int]:
         """Return the ids within the communication radius now, without its own; walls do not hinder radio."""
@@ -235,8 +342,108 @@ class World:
 
     def open_encounters(self) -> list[EncounterBegan]:
         """Return the encounters told to have begun and not yet to have ended, by start and ids."""
-        began = sorted((t_s, *pair) for pair, t_s in self._open.items())
+        found = self._engine.open_encounters()
+        began = sorted(zip(found["met_s"].tolist(), found["first"].tolist(), found["second"].tolist(), strict=True))
         return [EncounterBegan(t_s=t_s, id1=self._ids[first], id2=self._ids[second]) for t_s, first, second in began]
+
+    def snapshot(self) -> bytes:
+        """Return all there is to know, so that ``restore`` goes on as if nothing had been: same events, bit for bit."""
+        legs = join(self._past) if self._past else None
+        parts = WorldParts(
+            engine=self._engine.save(),
+            legs=legs,
+            ids=np.array(self._ids, dtype=np.int64),
+            lost_first=self._lost_first,
+            now_s=self._now_s,
+            ranges=self._ranges,
+            is_torus=self._torus,
+            keeps_legs=self._keeps_legs,
+            arena=self._arena,
+        )
+        return pack(parts)
+
+    @classmethod
+    def restore(cls, content: bytes, *, source: str = "snapshot") -> "World":
+        """Make the world of a snapshot; ``source`` names it in messages. Raises SnapshotError."""
+        parts = unpack(content, source=source)
+        world = cls.__new__(cls)
+        cls._take_up(world, parts, source)
+        return world
+
+    def _take_up(self, parts: WorldParts, source: str) -> None:
+        self._arena = parts.arena
+        self._ranges = parts.ranges
+        self._ids = tuple(parts.ids.tolist())
+        self._row = {one: row for row, one in enumerate(self._ids)}
+        self._now_s = parts.now_s
+        self._torus = parts.is_torus
+        self._keeps_legs = parts.keeps_legs
+        self._past = [] if parts.legs is None else [parts.legs]
+        self._known_legs = None
+        self._window_s = _FIRST_WINDOW_S
+        self._lost_first = parts.lost_first
+        try:
+            self._engine = Engine.load(parts.engine, arena=None if parts.is_torus else parts.arena, n_biobots=len(self._ids))
+        except SnapshotError as error:
+            raise SnapshotError(source=source, problem="it was written by another build of the engine") from error
+
+    def _run(self, until_s: float, progress: Callable[[float], None] | None) -> Iterator[Records]:
+        if not self._now_s <= until_s < float("inf"):
+            raise TimeError(got_s=until_s, wanted=f"a finite time not before the present, {self._now_s!r} s")
+        while self._now_s < until_s:
+            end_s = min(until_s, self._now_s + self._window_s)
+            if end_s <= self._now_s:  # the window is shorter than a unit in the last place of the time
+                end_s = until_s
+            steps = self._engine.n_steps
+            self._engine.advance(end_s)
+            steps = self._engine.n_steps - steps
+            if steps > _STEPS_AT_ONCE or end_s < until_s:
+                self._window_s *= min(4.0, max(0.25, _STEPS_AT_ONCE / max(1, steps)))
+            self._now_s = end_s
+            self._gather_legs()
+            yield self._engine.take_events()
+            if progress is not None:
+                progress(end_s)
+
+    def _gather_legs(self) -> None:
+        self._known_legs = None
+        legs = self._engine.take_legs()
+        if self._keeps_legs and legs.size:
+            self._past.append(_to_legs(legs))
+
+    def _read(self, records: Records) -> Iterator[Event]:
+        ids = self._ids
+        for t_s, met_s, kind, first, second, cause in records.tolist():
+            if kind == KIND_BEGIN:
+                yield EncounterBegan(t_s=t_s, id1=ids[first], id2=ids[second])
+            elif kind == KIND_END:
+                yield EncounterEnded(t_start_s=met_s, t_end_s=t_s, id1=ids[first], id2=ids[second])
+            elif kind == KIND_MODE:
+                yield ModeChanged(t_s=t_s, id=ids[first], mode=_MODES[second], cause=_CAUSES[cause])
+            else:
+                reason = SilenceReason.LOST if self._lost_first[first] else SilenceReason.BATTERY
+                yield BackpackSilenced(t_s=t_s, id=ids[first], reason=reason)
+
+    def _steer(self, biobot_id: int, *, turns: float, distance: float) -> bool:
+        if not math.isfinite(turns):
+            raise ParameterError(name="angle_rad", got=turns, wanted="a finite angle")
+        moved = self._engine.turn(self._find(biobot_id), turns=turns, distance=distance, at_s=self._now_s)
+        self._gather_legs()
+        return moved
+
+    def _state(self, row: int) -> tuple[Mode, Cause]:
+        still, cause = self._engine.modes()
+        return _MODES[int(still[row])], _CAUSES[int(cause[row])]
+
+    def _places(self, rows: Indices, times: Floats) -> Floats:
+        legs = self.legs()
+        return np.column_stack(legs.take(locate(legs, biobot=rows, t_s=times)).at(times))
+
+    def _check_times(self, t_s: Sequence[float] | Floats) -> Floats:
+        times = np.asarray(t_s, dtype=np.float64)
+        for wrong in times[~((times >= 0) & (times <= self._now_s))][:1]:
+            raise TimeError(got_s=float(wrong), wanted=f"a time from 0 to the present, {self._now_s!r} s")
+        return times
 
     def _find(self, biobot_id: int) -> int:
         row = self._row.get(biobot_id)
@@ -244,50 +451,23 @@ class World:
             raise UnknownBiobotError(biobot_id=biobot_id, first=self._ids[0], last=self._ids[-1], count=len(self._ids))
         return row
 
-    def _note(self, row: int, *, mode: Mode, cause: Cause) -> None:
-        self._mode[row] = mode
-        self._cause[row] = cause
-        self._pending.append(ModeChanged(t_s=self._now_s, id=self._ids[row], mode=mode, cause=cause))
 
-    def _begin(self, rows: Indices, legs: Indices) -> None:
-        self._current[rows] = legs
-        self._live = np.concatenate([self._live, legs])
+def _is_change(records: Records) -> NDArray[np.bool_]:
+    return np.asarray((records["kind"] != KIND_BEGIN) & (records["kind"] != KIND_END))
 
-    def _advance_window(self, end_s: float) -> list[Event]:
-        for made in self._walk.legs_until(end_s):
-            self._begin(made.biobot, self._log.append(made))
-        live = self._live[self._log.t_end_s(self._live) > self._now_s]
-        contacts = self._contacts.find(self._log.take(live), begin_s=self._now_s, end_s=end_s)
-        changes, self._pending = self._pending, []
-        events = changes + self._follow(contacts, end_s=end_s)
-        self._live = live[self._log.t_end_s(live) >= end_s]
-        self._now_s = end_s
-        return events
 
-    def _follow(self, contacts: Contacts, *, end_s: float) -> list[Event]:
-        """Turn the contacts that touch ``[now, end)`` into beginnings and ends, and remember what stays open."""
-        ends: list[tuple[float, int, int, float]] = []
-        begins: list[tuple[float, int, int]] = []
-        kept: dict[tuple[int, int], float] = {}
-        rows = zip(contacts.first.tolist(), contacts.second.tolist(), contacts.t_start_s.tolist(), contacts.t_end_s.tolist(), strict=True)
-        for first, second, start_s, stop_s in rows:
-            pair = (first, second)
-            met_s = self._open.pop(pair, None) if start_s <= self._now_s else None
-            if met_s is None:
-                met_s = start_s
-                begins.append((start_s, first, second))
-            if stop_s < end_s:
-                ends.append((stop_s, first, second, met_s))
-            else:
-                kept[pair] = met_s
-        # An open encounter that no contact takes up again ended with the legs that ended now.
-        ends += [(self._now_s, *pair, met_s) for pair, met_s in self._open.items()]
-        self._open = kept
-        ids = self._ids
-        told: list[tuple[tuple[float, int, int, int], Event]] = [
-            ((t_s, 1, first, second), EncounterEnded(t_start_s=met_s, t_end_s=t_s, id1=ids[first], id2=ids[second]))
-            for t_s, first, second, met_s in ends
-        ]
-        told += [((t_s, 2, first, second), EncounterBegan(t_s=t_s, id1=ids[first], id2=ids[second])) for t_s, first, second in begins]
-        told.sort(key=lambda item: item[0])
-        return [event for _, event in told]
+def _to_legs(records: Records) -> Legs:
+    columns = {name: records[name].copy() for name in ("t_start_s", "t_end_s", "x", "y", "vx", "vy")}
+    return Legs(biobot=records["row"].copy(), **columns)
+
+
+def _draw_failures(motion: MotionParameters, *, seed: int, keys: NDArray[np.uint64]) -> tuple[Floats, Floats]:
+    """Draw when each backpack is lost, and when its battery is flat [s], shape (n,) each; inf for never."""
+    first = np.zeros(keys.size, dtype=np.uint64)
+    lost_s, flat_s = np.full(keys.size, np.inf), np.full(keys.size, np.inf)
+    if motion.loss_hazard > 0.0:
+        lost_s = draws.exponential(draws.words(seed=seed, biobot=keys, stream=_LOSS_STREAM, index=first)) / motion.loss_hazard
+    if motion.battery_life_s is not None:
+        share = draws.uniform(draws.words(seed=seed, biobot=keys, stream=_BATTERY_STREAM, index=first))
+        flat_s = motion.battery_life_s * (1.0 + motion.battery_spread * (2.0 * share - 1.0))
+    return lost_s, flat_s

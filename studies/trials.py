@@ -17,8 +17,9 @@ from mapper.pipeline import compute_map
 from mapper.types import EncounterTable, FloatArray, ModeSpell, Recipe
 from mapper.window import make_encounter_table
 from simulator.arena import build_arena
-from simulator.config import MotionParameters, Ranges
+from simulator.config import Ranges
 from simulator.events import EncounterEnded
+from simulator.motion import MotionParameters
 from simulator.world import World
 from studies.arenas import ArenaFamily, draw_arena
 

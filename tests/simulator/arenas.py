@@ -8,7 +8,8 @@ from shapely.geometry import MultiPolygon, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
 from simulator.arena import Arena, build_arena
-from simulator.config import MotionParameters, Ranges
+from simulator.config import Ranges
+from simulator.motion import MotionParameters
 from simulator.world import World
 
 

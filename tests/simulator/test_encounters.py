@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from shapely.geometry import box
 
 from simulator.arena import Arena, build_arena
-from simulator.encounters import ContactFinder, Contacts
 from simulator.events import EncounterBegan, EncounterEnded
-from simulator.legs import Legs
 from simulator.world import World
 from tests.simulator.arenas import FIVE, cut_out, square, world_in
+from tests.simulator.plain.encounters import ContactFinder, Contacts
+from tests.simulator.plain.leg_log import Legs
 
 # A wall from x = 4 to x = 6, a thousandth thick, in a room of side 10; both ends free.
 FREE_WALL = build_arena(cut_out(box(0, 0, 10, 10), box(4, 4.9995, 6, 5.0005)))

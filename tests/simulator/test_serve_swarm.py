@@ -16,9 +16,10 @@ from firmware_protocol.messages import (
     WireMode,
 )
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId
-from simulator.config import MotionParameters, Ranges
+from simulator.config import Ranges
 from simulator.errors import ParameterError
 from simulator.events import EncounterEnded, Event, ModeChanged
+from simulator.motion import MotionParameters
 from simulator.radio import RadioConfig
 from simulator.swarm import Swarm, SwarmConfig
 from simulator.world import World

@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 
 from simulator.arena import Arena
 from simulator.legs import Legs
-from simulator.walk import Walk, reach_walls
-from tests.simulator.arenas import FIVE, arenas, square
+from tests.simulator.arenas import FIVE, arenas, square, world_in
+from tests.simulator.plain.walk import reach_walls
 
 
 def walk_legs(arena: Arena, *, until_s: float, seed: int = 1, biobots: int = 20, mean_leg: float = 2.0) -> Legs:
-    walk = Walk(arena, speed=1.0, mean_leg=mean_leg, ids=tuple(range(1, biobots + 1)), seed=seed)
-    batches = list(walk.legs_until(until_s))
-    return Legs(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in Legs.__slots__})
+    world = world_in(arena, seed=seed, biobots=biobots, mean_leg=mean_leg)
+    world.advance(until_s)
+    return world.legs()
 
 
 def check_inside(arena: Arena, legs: Legs) -> None:
@@ -40,7 +40,7 @@ def test_no_insect_ever_leaves_the_five_arenas(name: str) -> None:
 @pytest.mark.parametrize("name", FIVE)
 def test_paths_are_unbroken(name: str) -> None:
     legs = walk_legs(FIVE[name](), until_s=100.0)
-    order = np.lexsort((legs.t_start_s, legs.biobot))
+    order = np.arange(len(legs))
     end_x, end_y = legs.at(legs.t_end_s)
     same = legs.biobot[order][1:] == legs.biobot[order][:-1]
     for start, end in ((legs.t_start_s, legs.t_end_s), (legs.x, end_x), (legs.y, end_y)):
@@ -62,18 +62,11 @@ def test_mean_squared_displacement_follows_theory() -> None:
 
     4,000 insects: r^2 is near exponential, so its mean has a relative standard deviation of 1/sqrt(4000) = 1.6 %.
     """
-    arena = square(10_000.0)
-    walk = Walk(arena, speed=1.0, mean_leg=2.0, ids=tuple(range(1, 4001)), seed=4)
-    start = walk.rests(np.arange(4000), t_start_s=0.0, t_end_s=0.0)
+    world = world_in(square(10_000.0), biobots=4000, seed=4, mean_leg=2.0)
+    start = world.positions()
     for legs_walked in (0.5, 2.0, 20.0):
-        end_s = 2.0 * legs_walked
-        end_x, end_y = np.full(4000, np.nan), np.full(4000, np.nan)
-        walk = Walk(arena, speed=1.0, mean_leg=2.0, ids=tuple(range(1, 4001)), seed=4)
-        for legs in walk.legs_until(end_s):
-            last = legs.t_end_s >= end_s
-            x, y = legs.at(end_s)
-            end_x[legs.biobot[last]], end_y[legs.biobot[last]] = x[last], y[last]
-        measured = np.mean((end_x - start.x) ** 2 + (end_y - start.y) ** 2)
+        world.advance(2.0 * legs_walked)
+        measured = np.mean(((world.positions() - start) ** 2).sum(axis=1))
         theory = 2 * 2.0**2 * (legs_walked - 1 + np.exp(-legs_walked))
         assert measured == pytest.approx(theory, rel=0.05)
 

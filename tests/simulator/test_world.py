@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator.config import MotionParameters, Ranges
+from simulator.config import Ranges
 from simulator.errors import ParameterError, TimeError, UnknownBiobotError
-from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
+from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
+from simulator.motion import MotionParameters
 from simulator.world import World
 from tests.simulator.arenas import FIVE, one_obstacle, square, world_in
 
@@ -25,6 +26,8 @@ def event_key(event: Event) -> tuple[float, int, int, int]:
             return event.t_end_s, 1, event.id1, event.id2
         case EncounterBegan():
             return event.t_s, 2, event.id1, event.id2
+        case BackpackSilenced():
+            return event.t_s, 3, event.id, 0
 
 
 COMMANDS = [(2.5, "stop", 4), (2.5, "stop", 9), (3.0, "stop", 4), (7.25, "start", 4), (7.25, "stop", 2), (7.25, "start", 2)]
@@ -60,8 +63,7 @@ def test_cutting_at_the_very_instants_of_events_changes_nothing() -> None:
 def test_cutting_at_the_very_turns_of_the_walks_changes_nothing() -> None:
     whole = world_in(one_obstacle())
     expected = whole.advance(12.0)
-    log = whole._log
-    turns = log.t_end_s(np.arange(len(log)))
+    turns = whole.legs().t_end_s
     cut_up = world_in(one_obstacle())
     events = [event for cut in sorted(turns[turns < 12.0]) for event in cut_up.advance(cut)] + cut_up.advance(12.0)
     assert events == expected

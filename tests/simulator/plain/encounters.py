@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from simulator.arena import Arena
-from simulator.legs import Floats, Indices, Legs
-from simulator.sight import keep_in_sight
+from tests.simulator.plain.leg_log import Floats, Indices, Legs
+from tests.simulator.plain.sight import keep_in_sight
 
 # Pieces of legs looked at in one go: bounds memory to some tens of megabytes.
 _PIECES_PER_WINDOW = 60_000

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.arena import Arena
-from simulator.legs import Floats, Indices, Legs
+from tests.simulator.plain.leg_log import Floats, Indices, Legs
 
 # Contacts times walls looked at in one block: bounds memory.
 _BLOCK = 1_000_000

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from simulator import draws
 from simulator.arena import Arena
-from simulator.legs import Floats, Indices, Legs
+from tests.simulator.plain.leg_log import Floats, Indices, Legs
 
 _LENGTH_STREAM = 2
 _DIRECTION_STREAM = 3

@@ -1,0 +1,154 @@
+"""An expedition: dispersion, landmark selection, exploration; something that can be put on disk in the middle and taken up again."""
+
+import hashlib
+from collections.abc import Callable
+from functools import partial
+
+import msgspec
+
+from firmware_protocol.landmarks import select_landmarks
+from simulator.config import RunConfig
+from simulator.errors import SnapshotError
+from simulator.setting import Setting, choose_setting
+from simulator.truth import RecorderState, TruthRecorder
+from simulator.world import World
+
+_MARK = b"biobot run 1\n"
+
+
+class _Saved(msgspec.Struct, frozen=True):
+    """What a snapshot of an expedition holds; the world's own snapshot is one of its fields."""
+
+    config: RunConfig
+    world: bytes
+    recorder: RecorderState
+    landmarks: list[int]
+    n_done: int
+
+
+class Expedition:
+    """A whole run, advanced bit by bit.
+
+    Parameters
+    ----------
+    config
+        A complete configuration.
+
+    Raises
+    ------
+    ConfigurationError, SimulationError
+        Something is not given, or makes no sense.
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        self.config = config
+        self.setting: Setting = choose_setting(config)
+        setting = self.setting
+        self.world = World(setting.arena, motion=setting.motion, ranges=setting.ranges, ids=setting.ids, seed=setting.seed)
+        self.recorder = TruthRecorder(self.world)
+        self.landmarks: list[int] = []
+        self._n_done = 0
+
+    @property
+    def total_s(self) -> float:
+        """When it ends, dispersion included [s]."""
+        return self.setting.dispersion_s + self.setting.duration_s
+
+    @property
+    def is_over(self) -> bool:
+        """All time has passed."""
+        return self.world.now_s >= self.total_s and self._n_done == len(self._turns())
+
+    def advance(self, until_s: float, *, walk: Callable[[float], None] | None = None) -> None:
+        """Let time run to ``until_s`` [s], at most to the end, and do on the way what is due: set the landmarks, close doors.
+
+        Parameters
+        ----------
+        walk
+            Lets the world run to an instant and gives what happens to the recorder; without it, that is all that happens.
+        """
+        until_s = min(until_s, self.total_s)
+        for at_s, act in self._turns()[self._n_done :]:
+            if at_s > until_s:
+                break
+            self._run(at_s, walk)
+            act()
+            self._n_done += 1
+        self._run(until_s, walk)
+
+    def save(self) -> bytes:
+        """Return a snapshot."""
+        saved = _Saved(
+            config=self.config, world=self.world.snapshot(), recorder=self.recorder.state(), landmarks=self.landmarks, n_done=self._n_done
+        )
+        body = msgspec.msgpack.encode(saved)
+        return _MARK + hashlib.sha256(body).digest() + body
+
+    @classmethod
+    def resume(cls, content: bytes, *, source: str) -> "Expedition":
+        """Take up an expedition from its snapshot; ``source`` names it in messages.
+
+        Raises
+        ------
+        SnapshotError
+            The bytes are no whole snapshot of this version.
+        ConfigurationError, SimulationError
+            The arena file it began with is gone or has changed for the worse.
+        """
+        start = len(_MARK) + hashlib.sha256().digest_size
+        if not content.startswith(_MARK):
+            raise SnapshotError(source=source, problem="it does not begin as a snapshot of a run")
+        body = content[start:]
+        if hashlib.sha256(body).digest() != content[len(_MARK) : start]:
+            raise SnapshotError(source=source, problem="it is damaged or cut short: its checksum does not fit")
+        try:
+            saved = msgspec.msgpack.decode(body, type=_Saved)
+        except msgspec.DecodeError as error:
+            raise SnapshotError(source=source, problem=f"it was written by another version ({error})") from error
+        expedition = cls.__new__(cls)
+        expedition.config = saved.config
+        expedition.setting = choose_setting(saved.config)
+        expedition.world = World.restore(saved.world, source=source)
+        expedition.recorder = TruthRecorder(expedition.world, state=saved.recorder)
+        expedition.landmarks = saved.landmarks
+        cls._set_done(expedition, saved.n_done)
+        return expedition
+
+    @property
+    def n_encounters(self) -> int:
+        """Encounters since the landmarks were set, those going on included."""
+        return self.recorder.count_encounters(zero_s=self.setting.dispersion_s)
+
+    def files(self, **about: object) -> dict[str, bytes]:
+        """Return the content of every file of results, by name; ``about`` comes first in ``run.json``."""
+        description = {**about, **self.setting.describe(), "landmark_ids": sorted(self.landmarks)}
+        setting = self.setting
+        return self.recorder.files(
+            zero_s=setting.dispersion_s,
+            run=description,
+            position_samples=self.config.position_samples,
+            arena=setting.arena,
+            changes=setting.arena_changes,
+        )
+
+    def _turns(self) -> list[tuple[float, Callable[[], None]]]:
+        """List what is to be done when [s], in order; at one instant in this order."""
+        zero_s = self.setting.dispersion_s
+        doors = [(zero_s + change.at_s, partial(self.world.replace_arena, change.arena)) for change in self.setting.arena_changes]
+        return [(zero_s, self._set_landmarks), *doors]
+
+    def _set_landmarks(self) -> None:
+        self.landmarks = list(select_landmarks(self.world.adjacency(), count=self.setting.landmarks))
+        for landmark in self.landmarks:
+            self.world.stop(landmark)
+
+    def _run(self, until_s: float, walk: Callable[[float], None] | None) -> None:
+        if until_s <= self.world.now_s:
+            return
+        if walk is None:
+            self.recorder.record_run(self.world.run(until_s))
+        else:
+            walk(until_s)
+
+    def _set_done(self, count: int) -> None:
+        self._n_done = count
