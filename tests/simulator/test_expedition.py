@@ -16,7 +16,7 @@ from simulator.errors import SnapshotError
 from simulator.expedition import Expedition
 
 BUSY = RunConfig(
-    scenario="two-obstacles",
+    scenario="closing-door",
     seed=4,
     biobots=40,
     duration_s=40.0,
@@ -33,7 +33,7 @@ def finished(expedition: Expedition) -> dict[str, bytes]:
 @settings(max_examples=10)
 @given(st.floats(0.0, 49.9))
 def test_a_resumed_run_has_the_files_of_one_never_interrupted(at_s: float) -> None:
-    """Dispersion ends at 10 s: before it, no landmark is set."""
+    """Dispersion ends at 10 s: before it, no landmark is set; at 30 s the door closes."""
     expected = finished(Expedition(BUSY))
     halves = Expedition(BUSY)
     halves.advance(at_s)
