@@ -103,6 +103,8 @@ def describe(foretold: Forecast, comparison: Comparison | None = None) -> str:
             chances = f"{now.chance_of_false_hole:.0%} -> {change.outlook.chance_of_false_hole:.0%}"
             lines.append(_row(change.name, [sides, chances], width=26))
     notes = [f"warning: {warning}" for warning in foretold.warnings]
+    if any(foretold.largest_side < side <= plan.side for one in looks for side in (one.usual_side, one.even_side)):
+        notes.append(f"in brackets: larger than any obstacle that was run ({foretold.largest_side:.3g} m here)")
     if foretold.extrapolated:
         notes.append(f"a guess, for nothing of the kind was run: {'; '.join(foretold.extrapolated)}")
     return "\n".join([*lines, *([""] if notes else []), *(line for note in notes for line in _wrapped(note))])
@@ -186,10 +188,11 @@ def _theory(foretold: Forecast) -> str:
         joined += f", and each landmark has met three after {duration_text(foretold.landmarks_met_s)}"
     crossing, mixing = duration_text(feasibility.crossing_s(plan)), duration_text(feasibility.mixing_s(plan))
     spacing, cover = feasibility.encounter_spacing(plan), feasibility.landmark_cover_radius(plan)
+    landmarks = f"; some place is {cover:.3g} m or more from every landmark" if plan.landmarks else ""
     return (
-        f"{joined} (9 of 10 runs, if all mix well). A biobot crosses the arena in {crossing} and gets about it in {mixing}; between encounters it walks {feasibility.free_path(plan):.3g} m, "
-        f"{feasibility.path_inflation(plan):.2f} times the beeline. Each encounter has {spacing:.3g} m square for itself"
-        + (f"; some place is {cover:.3g} m or more from every landmark." if plan.landmarks else ".")
+        f"{joined} (9 of 10 runs, if all mix well). A biobot crosses the arena in {crossing} and gets about it in {mixing}; between "
+        f"encounters it walks {feasibility.free_path(plan):.3g} m, {feasibility.path_inflation(plan):.2f} times the beeline. "
+        f"Each encounter has {spacing:.3g} m square for itself{landmarks}."
     )
 
 

@@ -11,7 +11,7 @@ from functools import cache
 from importlib import resources
 from math import exp, inf, log, pi, sqrt
 
-from mapper.feasibility import expected_encounters, time_until
+from mapper.feasibility import encounter_rate, expected_encounters, time_until
 from mapper.plan import Plan
 
 # What a map is said to show.
@@ -86,14 +86,14 @@ def even_side(plan: Plan, law: Law) -> float:
 
     Notes
     -----
-    s^2 = r^2 + (c_0 L)^2 + (c L)^2 (v T / L)^p / (N N_l), N the expected encounters and N_l the landmarks. Nothing finer than the detection
-    radius r is seen, for that is how exactly an encounter is at a place; c_0 is what the method blurs, however much it is given; and the
-    last term falls with the number of distances known, one from each encounter to each landmark. Of long times a part of that
-    gain is lost.
+    s^2 = r^2 + (c_0 L)^2 + (c L)^2 (v T / L)^p / (N N_l), N the encounters expected to begin, N_l the landmarks. Nothing finer than the
+    detection radius r is seen, for that is how exactly an encounter is at a place; c_0 is what the method blurs, however much it is
+    given; and the last term falls with the number of distances known, one from each encounter to each landmark. Of long times a part of
+    that gain is lost.
     """
     if plan.landmarks == 0:
         return inf
-    known = expected_encounters(plan) * plan.landmarks
+    known = encounter_rate(plan) * plan.duration_s * plan.landmarks
     length = plan.side
     noise = (law.crowd * length) ** 2 * (plan.path / length) ** law.path_power / known if known > 0 else inf
     return sqrt(plan.detection_radius**2 + (law.floor * length) ** 2 + noise)

@@ -31,7 +31,7 @@ NAMED = {
     "40 hissers, 20 landmarks, 30 min": replace(_HISSERS, landmarks=20),
     "20 hissers, 6 landmarks, 60 min": replace(_HISSERS, biobots=20, landmarks=6, path=28.8),
 }
-_FEWER_RUNS = {"paper-50cm": 2}  # a run takes long there
+_FEWER_RUNS = {"paper-50cm": 4}  # a run takes long there
 _INTERVAL = 1.645  # deviations of a normal distribution to either side, with 9 in 10 between
 
 

@@ -6,7 +6,7 @@ from math import exp, log
 import numpy as np
 from scipy.optimize import minimize
 
-from mapper.feasibility import encounter_rate, expected_encounters
+from mapper.feasibility import encounter_rate
 from mapper.plan import Plan
 from mapper.resolution import Law, chance_found, quantities
 from mapper.types import FloatArray
@@ -81,7 +81,7 @@ def _fit_resolution(outcomes: Sequence[Outcome]) -> tuple[float, float, float, f
     """Fit ``mapper.resolution.even_side``; written once more for arrays, and a test keeps the two together."""
     plans = [as_plan(outcome.scaled) for outcome in outcomes]
     side, radius, path = (np.array([getattr(one.scaled, name) for one in outcomes]) for name in ("obstacle", "detection", "path"))
-    known = np.array([expected_encounters(plan) * plan.landmarks for plan in plans])
+    known = np.array([encounter_rate(plan) * plan.duration_s * plan.landmarks for plan in plans])
     is_found = np.array([outcome.is_found for outcome in outcomes])
 
     def misfit(x: Vector) -> float:
