@@ -1,4 +1,4 @@
-"""Command line of the mapper: ``run`` makes a map of a file, ``serve`` keeps one up to date for an operator."""
+"""Command line of the mapper: ``run`` maps a file, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show."""
 
 import argparse
 import json
@@ -21,7 +21,7 @@ _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    parser = _make_parser(with_serve="serve" in given)
+    parser = _make_parser(given)
     args = parser.parse_args(given)
     try:
         status = _dispatch(args, parser)
@@ -50,8 +50,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         from mapper.service import main as serve  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
 
         return serve(args)
+    if args.command == "feasibility":
+        return _foretell(args)
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run or serve"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, serve or feasibility"], status=_EXIT_USAGE)
 
 
 def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
@@ -77,6 +79,21 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     for warning in result.warnings:
         print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
     _write_outputs(result, args)
+    return 0
+
+
+def _foretell(args: argparse.Namespace) -> int:
+    from mapper.feasibility_report import report, to_json  # noqa: PLC0415  # see _run
+
+    if args.json is not None and args.encounters is not None and args.json.resolve() == args.encounters.resolve():
+        raise OutputFileError(path=str(args.json), reason="is also an input; it would be overwritten")
+    text, document = report(args)
+    if args.json is None:
+        print(text)
+    elif args.json == Path("-"):
+        sys.stdout.write(to_json(document))
+    else:
+        _write(args.json, to_json(document).encode())
     return 0
 
 
@@ -116,20 +133,27 @@ def _write(path: Path, content: bytes) -> None:
         raise OutputFileError(path=str(path), reason=reason) from error
 
 
-def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
+def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
     parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
-    commands = parser.add_subparsers(dest="command", metavar="{run,serve}")
+    commands = parser.add_subparsers(dest="command", metavar="{run,serve,feasibility}")
     run = commands.add_parser("run", help="make a map of a CSV file", description="Make a map of a CSV file of encounters.")
     _add_common(run, default=argparse.SUPPRESS)
     _add_run_arguments(run)
     serve = commands.add_parser("serve", help="keep a live map and serve it", description="Keep a live map and serve it over HTTP.")
     _add_common(serve, default=argparse.SUPPRESS)
-    if with_serve:
+    if "serve" in given:
         from mapper.service import add_arguments  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
 
         add_arguments(serve)
+    about = "Say how many encounters a plan gives, what obstacles a map will show and when, and what to change."
+    feasibility = commands.add_parser("feasibility", help="say what a map will show, before anybody walks", description=about)
+    _add_common(feasibility, default=argparse.SUPPRESS)
+    if "feasibility" in given:
+        from mapper.feasibility_report import add_arguments as add_plan_arguments  # noqa: PLC0415  # see _run
+
+        add_plan_arguments(feasibility)
     return parser
 
 

@@ -23,7 +23,7 @@ from simulator.serve_config import ServeConfig
 COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "biobot-sim": ("simulator", ("run", "serve", "render", "scenarios")),
     "biobot-gateway": ("gateway", ("run", "list-ports", "command", "status")),
-    "biobot-mapper": ("mapper", ("run", "serve")),
+    "biobot-mapper": ("mapper", ("run", "serve", "feasibility")),
 }
 CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {
     "biobot-sim run": RunConfig,
