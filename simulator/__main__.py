@@ -1,4 +1,4 @@
-"""Command line of the simulator: ``run`` writes a run's files, ``serve`` stands in for a dongle, ``scenarios`` lists what there is."""
+"""Command line of the simulator: ``run`` writes a run's files, ``serve`` and ``replay`` stand in for dongles, ``scenarios`` lists."""
 
 import argparse
 import os
@@ -20,7 +20,7 @@ _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    parser = _make_parser(with_serve="serve" in given)
+    parser = _make_parser(given)
     args = parser.parse_args(given)
     try:
         status = _dispatch(args, parser)
@@ -46,6 +46,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         from simulator import serve  # noqa: PLC0415
 
         return serve.main(args)
+    if args.command == "replay":
+        from simulator import replay  # noqa: PLC0415
+
+        return replay.main(args)
     if args.command == "scenarios":
         from simulator.listing import list_scenarios  # noqa: PLC0415
 
@@ -70,10 +74,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         run(config)
         return 0
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, serve or scenarios"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, serve, replay or scenarios"], status=_EXIT_USAGE)
 
 
-def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
+def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="biobot-sim", description="Simulated insects with backpacks: whole runs as files, or live behind a virtual dongle."
     )
@@ -84,10 +88,16 @@ def _make_parser(*, with_serve: bool) -> argparse.ArgumentParser:
     _add_run_arguments(run)
     serve = commands.add_parser("serve", help="walk in real time behind a virtual coordinator, for a gateway to listen to")
     _add_common(serve, is_command=True)
-    if with_serve:
+    if "serve" in given:
         from simulator import serve as serve_module  # noqa: PLC0415  # the other commands need none of its imports
 
         serve_module.add_arguments(serve)
+    replay = commands.add_parser("replay", help="let a recorded run happen again behind a virtual coordinator")
+    _add_common(replay, is_command=True)
+    if "replay" in given:
+        from simulator import replay as replay_module  # noqa: PLC0415  # as above
+
+        replay_module.add_arguments(replay)
     scenarios = commands.add_parser("scenarios", help="list scenarios and presets")
     _add_common(scenarios, is_command=True)
     scenarios.add_argument("--json", action="store_true", help="as JSON, with the source of every value")

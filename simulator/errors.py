@@ -80,3 +80,13 @@ class LineError(SimulationError):
         self.line = line
         self.problem = problem
         super().__init__(f"{line}: {problem}")
+
+
+class RecordingError(SimulationError):
+    """A recording cannot be replayed: mend the file at the line told, or give another one."""
+
+    def __init__(self, *, path: Path, problem: str, line: int | None = None) -> None:
+        self.path = path
+        self.line = line
+        self.problem = problem
+        super().__init__(f"{path}{'' if line is None else f', line {line}'}: {problem}")

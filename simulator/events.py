@@ -1,4 +1,4 @@
-"""What happens in a world: modes that change, encounters that begin and end."""
+"""What happens in a world: modes that change, encounters that begin and end, backpacks that fall silent."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -47,4 +47,21 @@ class EncounterEnded:
     id2: int
 
 
-Event = ModeChanged | EncounterBegan | EncounterEnded
+class SilenceReason(StrEnum):
+    """Why a backpack is heard no more."""
+
+    LOST = "lost"
+    BATTERY = "battery"
+    DEATH = "death"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BackpackSilenced:
+    """From ``t_s`` [s] on a biobot's backpack is off for good: it senses, sends and obeys nothing more."""
+
+    t_s: float
+    id: int
+    reason: SilenceReason
+
+
+Event = ModeChanged | EncounterBegan | EncounterEnded | BackpackSilenced

@@ -15,10 +15,10 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
+from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.geojson import dump_arena
+from simulator.habitat import Habitat
 from simulator.legs import Floats
-from simulator.world import World
 
 
 class TruthRecorder:
@@ -32,7 +32,7 @@ class TruthRecorder:
 
     __slots__ = ("_encounters", "_modes", "_world")
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: Habitat) -> None:
         self._world = world
         self._encounters: list[EncounterEnded] = []
         self._modes: dict[int, list[tuple[float, Mode, Cause]]] = {one: [(0.0, Mode.CRW, Cause.NATURAL)] for one in world.ids}
@@ -45,7 +45,7 @@ class TruthRecorder:
                     self._encounters.append(event)
                 case ModeChanged():
                     self._modes[event.id].append((event.t_s, event.mode, event.cause))
-                case EncounterBegan():
+                case EncounterBegan() | BackpackSilenced():
                     pass
 
     def files(self, *, zero_s: float, run: Mapping[str, object], position_samples: int = 201) -> dict[str, bytes]:
@@ -63,29 +63,35 @@ class TruthRecorder:
 
         Notes
         -----
-        Encounters still open now end now. Times are rounded to a nanosecond; rows are in order of start, end and ids.
+        Encounters still open now end now. Times are rounded to a nanosecond; rows are in order of start, end and ids. Where the
+        world's arena is unknown, there are neither ``truth.npz`` nor ``arena.geojson``.
         """
         rows, places = self._encounter_rows(zero_s)
         spells = self._mode_rows(zero_s)
+        files = {
+            "encounters.csv": _csv(("t_start_s", "t_end_s", "id1", "id2"), rows),
+            "modes.csv": _csv(("t_start_s", "t_end_s", "id", "mode", "cause"), spells),
+        }
+        counts = {"encounters": len(rows), "mode_spells": len(spells)}
+        if self._world.arena is not None:
+            files["truth.npz"] = self._dump_places(places, zero_s=zero_s, position_samples=position_samples)
+            files["arena.geojson"] = dump_arena(self._world.arena).encode()
+            counts["position_samples"] = position_samples
+        return {**files, "run.json": (json.dumps({**run, "counts": counts}, indent=2) + "\n").encode()}
+
+    def _dump_places(self, encounter_places: Floats, *, zero_s: float, position_samples: int) -> bytes:
         t_s = np.linspace(zero_s, self._world.now_s, position_samples)
         ids = self._world.ids
         positions = self._world.positions_of(np.repeat(ids, position_samples).tolist(), np.tile(t_s, len(ids)))
         truth = io.BytesIO()
         np.savez(
             truth,
-            encounter_position=places,
+            encounter_position=encounter_places,
             t_s=t_s - zero_s,
             ids=np.array(ids, dtype=np.int64),
             position=np.ascontiguousarray(positions.reshape(len(ids), position_samples, 2).transpose(1, 0, 2)),
         )
-        counts = {"encounters": len(rows), "mode_spells": len(spells), "position_samples": position_samples}
-        return {
-            "encounters.csv": _csv(("t_start_s", "t_end_s", "id1", "id2"), rows),
-            "modes.csv": _csv(("t_start_s", "t_end_s", "id", "mode", "cause"), spells),
-            "truth.npz": truth.getvalue(),
-            "arena.geojson": dump_arena(self._world.arena).encode(),
-            "run.json": (json.dumps({**run, "counts": counts}, indent=2) + "\n").encode(),
-        }
+        return truth.getvalue()
 
     def _encounter_rows(self, zero_s: float) -> tuple[list[tuple[str, str, int, int]], Floats]:
         now_s = self._world.now_s

@@ -4,6 +4,7 @@ Time is continuous and is a float of seconds since the world was made: the one p
 encounters begin and end at the roots of quadratics. Nothing here reads a clock.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -171,6 +172,33 @@ class World:
         self._walk.release(np.array([row]), at_s=self._now_s)
         self._note(row, mode=Mode.CRW, cause=cause)
         return True
+
+    def turn(self, biobot_id: int, angle_rad: float) -> None:
+        """Turn a biobot at once, to the left where the angle is positive; it walks on in that direction. One that stands stays so."""
+        row = self._find(biobot_id)
+        if self._mode[row] is Mode.CRW:
+            vx, vy = self._velocity(row)
+            cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+            self._steer(row, (cosine * vx - sine * vy, sine * vx + cosine * vy), length=float("nan"))
+
+    def run_straight(self, biobot_id: int, distance: float) -> None:
+        """Make a biobot run straight on for a distance [length], or to the next wall. One that stands stays so."""
+        row = self._find(biobot_id)
+        if self._mode[row] is Mode.CRW:
+            self._steer(row, self._velocity(row), length=distance)
+
+    def _velocity(self, row: int) -> tuple[float, float]:
+        leg = self._log.take(self._current[row : row + 1])
+        return float(leg.vx[0]), float(leg.vy[0])
+
+    def _steer(self, row: int, velocity: tuple[float, float], *, length: float) -> None:
+        speed = math.hypot(*velocity)
+        if speed == 0.0:
+            return
+        rows = np.array([row])
+        self._log.end(int(self._current[row]), at_s=self._now_s)
+        self._walk.halt(rows, *self._log.take(self._current[rows]).at(self._now_s))
+        self._walk.steer(row, at_s=self._now_s, direction=(velocity[0] / speed, velocity[1] / speed), length=length)
 
     def mode(self, biobot_id: int) -> Mode:
         """Return the present mode of a biobot."""

@@ -52,7 +52,7 @@ def test_an_arena_file_is_walked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "problem"),
     [
-        ([], 2, "give a command: run, serve or scenarios"),
+        ([], 2, "give a command: run, serve, replay or scenarios"),
         (["fly"], 2, "invalid choice: 'fly'"),
         (["run"], 2, "give --out DIR"),
         (["run", "--out", "{tmp}/out"], 2, "give --seed N"),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from simulator.config import MotionParameters, Ranges
 from simulator.errors import ParameterError, TimeError, UnknownBiobotError
-from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
+from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.world import World
 from tests.simulator.arenas import FIVE, one_obstacle, square, world_in
 
@@ -25,6 +25,8 @@ def event_key(event: Event) -> tuple[float, int, int, int]:
             return event.t_end_s, 1, event.id1, event.id2
         case EncounterBegan():
             return event.t_s, 2, event.id1, event.id2
+        case BackpackSilenced():
+            return event.t_s, 3, event.id, 0
 
 
 COMMANDS = [(2.5, "stop", 4), (2.5, "stop", 9), (3.0, "stop", 4), (7.25, "start", 4), (7.25, "stop", 2), (7.25, "start", 2)]
