@@ -17,16 +17,18 @@ from firmware_protocol.errors import ConfigurationError
 from gateway.config import GatewayConfig
 from mapper.config import MapperConfig
 from simulator.config import RunConfig
+from simulator.replay_config import ReplayConfig
 from simulator.serve_config import ServeConfig
 
 COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "biobot-sim": ("simulator", ("run", "serve", "scenarios")),
+    "biobot-sim": ("simulator", ("run", "serve", "replay", "scenarios")),
     "biobot-gateway": ("gateway", ("run", "list-ports", "command", "status")),
     "biobot-mapper": ("mapper", ("run", "serve")),
 }
 CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {
     "biobot-sim run": RunConfig,
     "biobot-sim serve": ServeConfig,
+    "biobot-sim replay": ReplayConfig,
     "biobot-gateway run": GatewayConfig,
     "biobot-mapper": MapperConfig,
 }

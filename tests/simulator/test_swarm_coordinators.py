@@ -29,6 +29,7 @@ class Site:
         self.swarm = Swarm(world, config=config, observe=self.events.extend)
         self.bases = [BaseStation() for _ in range(n_lines)]
         self.now_ns = 0
+        self.sent = [bytearray() for _ in range(n_lines)]
 
     def run_until(self, until_s: float, *, done: Callable[[], bool] = lambda: False) -> None:
         while self.now_ns < until_s * NS_PER_S and not done():
@@ -37,8 +38,10 @@ class Site:
                 base.tick(self.now_ns)
                 self.swarm.feed(base.take_outgoing(), now_ns=self.now_ns, coordinator=index)
             self.swarm.step(self.now_ns)
-            for base, coordinator in zip(self.bases, self.swarm.coordinators, strict=True):
-                base.feed(coordinator.take_bytes(), now_ns=self.now_ns)
+            for base, coordinator, sent in zip(self.bases, self.swarm.coordinators, self.sent, strict=True):
+                told = coordinator.take_bytes()
+                sent.extend(told)
+                base.feed(told, now_ns=self.now_ns)
 
     def finish(self, *, within_s: float = 120.0) -> None:
         at_s = self.now_ns / NS_PER_S
@@ -183,3 +186,17 @@ def test_a_turn_asked_for_over_the_air_turns_the_insect_and_the_answer_says_only
     assert noted.responded
     replies = [(node, reply.result) for node, reply in site.bases[0].of_type(StimulateReply) if isinstance(reply, StimulateReply)]
     assert replies == [(1, StimulationResult.DONE)]
+
+
+def test_the_same_seed_gives_the_same_bytes_on_every_line() -> None:
+    sites = []
+    for _ in range(2):
+        world = ScriptedWorld({one: (float(one), 5.0) for one in range(1, 9)})
+        world.meet(1, 2, start_s=1.0, end_s=2.0)
+        site = Site(world, loss=0.3)
+        site.run_until(3.0)
+        world.places[1] = RIGHT
+        site.run_until(6.0)
+        sites.append(site)
+    assert sites[0].sent == sites[1].sent
+    assert all(sites[0].sent)
