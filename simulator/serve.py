@@ -62,6 +62,14 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SPEC",
         help="what the gateway opens: pty:PATH, tcp:HOST:PORT or serial:DEVICE, each with ?baud=N; again for a further coordinator",
     )
+    parser.add_argument(
+        "--coordinator-place",
+        dest="coordinator_places",
+        action="append",
+        type=_place,
+        metavar="X,Y",
+        help="where a coordinator is; again for each further --link (default: spread over the arena)",
+    )
     parser.add_argument("--coverage-radius", type=float, metavar="R", help="how far a coordinator is heard (default: everywhere)")
 
 
@@ -154,6 +162,16 @@ def merge_descriptions(setting: dict[str, object], done: dict[str, object]) -> d
     assert isinstance(first, dict)
     assert isinstance(second, dict)
     return {**setting, **done, "parameters": {**first, **second}}
+
+
+def _place(text: str) -> tuple[float, float]:
+    x, comma, y = text.partition(",")
+    try:
+        if comma:
+            return float(x), float(y)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is no place; wanted two numbers, as in 12.5,25")
 
 
 def _coverage(config: ServeConfig, setting: Setting) -> CoverageConfig:

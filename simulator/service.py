@@ -151,9 +151,11 @@ class Service:
             "reports": swarm.reports.n_reports,
             "reports_unacknowledged": swarm.reports.n_unacknowledged,
             "encounters_dropped_by_backpacks": swarm.n_dropped,
+            "encounters_not_taken": swarm.n_buffered,
             "encounters_lost_with_backpacks": swarm.n_lost,
             "silenced": {str(node): reason for node, reason in sorted(swarm.silenced.items())},
             "rejoined": swarm.n_rejoined,
+            "out_of_coverage_at_the_end": swarm.n_uncovered,
             "line_faults": self._line_faults(),
         }
 
@@ -229,11 +231,13 @@ class Service:
 
     def _report_end(self) -> None:
         swarm = self._swarm
-        report = log.warning if swarm.reports.n_unacknowledged or swarm.n_dropped else log.info
+        report = log.warning if swarm.reports.n_unacknowledged or swarm.n_dropped or swarm.n_buffered else log.info
         report(
             "serve.ended",
             reports=swarm.reports.n_reports,
             unacknowledged=swarm.reports.n_unacknowledged,
+            not_taken=swarm.n_buffered,
+            out_of_coverage=swarm.n_uncovered,
             dropped=swarm.n_dropped,
             lost_with_backpacks=swarm.n_lost,
             line_faults=self._line_faults(),

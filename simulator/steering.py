@@ -126,6 +126,11 @@ class Steering:
         """Forget a biobot whose backpack is off; a response that its last train brought about comes no more."""
         self._forget_reaction(node)
 
+    def end(self) -> None:
+        """Let no response come any more: the insects stand still for good."""
+        for node in list(self._reactions):
+            self._forget_reaction(node)
+
     def _is_current(self, due_ns: int, node: NodeId) -> bool:
         reaction = self._reactions.get(node)
         return reaction is not None and reaction.due_ns == due_ns

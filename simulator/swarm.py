@@ -150,8 +150,14 @@ class Swarm:
 
     @property
     def is_settled(self) -> bool:
-        """The base station has everything the backpacks had to say."""
-        return all(backpack.is_settled for node, backpack in self._backpacks.items() if node not in self.silenced)
+        """The base station has everything that it can ever get.
+
+        Nothing more comes from silent backpacks, nor, once the world has ended and nobody walks any more, from those out of coverage.
+        """
+        return all(
+            backpack.is_settled or node in self.silenced or (self.has_ended and self._air.home_of(node) is None)
+            for node, backpack in self._backpacks.items()
+        )
 
     @property
     def n_dropped(self) -> int:
@@ -223,6 +229,7 @@ class Swarm:
 
     def _end_world(self, now_ns: int) -> None:
         self.has_ended = True
+        self._steering.end()
         for event in self._world.open_encounters():
             self._part(event.id1, event.id2, end_ns=self._world_ns, now_ns=now_ns)
         for node, backpack in self._backpacks.items():
@@ -293,8 +300,7 @@ class Swarm:
     def _react(self, now_ns: int) -> None:
         due_ns = self._steering.next_due_ns()
         if due_ns is not None and due_ns <= now_ns:
-            if not self.has_ended:
-                self._advance_world(now_ns)
+            self._advance_world(now_ns)
             self._steering.react(now_ns)
 
     def _silence(self, node: NodeId, reason: str) -> None:

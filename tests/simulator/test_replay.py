@@ -115,6 +115,14 @@ def test_what_cannot_be_replayed_is_told(
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("place", ["5", "a,b", "1;2"])
+def test_a_place_that_is_none_is_told(place: str, recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["replay", str(recording), "--link", "tcp:127.0.0.1:0", "--coordinator-place", place])
+    assert caught.value.code == 2
+    assert "wanted two numbers" in capsys.readouterr().err
+
+
 def test_without_a_source_or_a_line_replay_asks_for_them(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", "--link", "tcp:127.0.0.1:0"]) == 2
     assert "give the recording" in capsys.readouterr().err

@@ -21,11 +21,13 @@ SURE = ResponseConfig(probability=1.0, probability_habituated=1.0)
 class Site:
     """A swarm with a base station at each coordinator's line; time is moved by hand."""
 
-    def __init__(self, world: ScriptedWorld, *, radius: float | None = None, loss: float = 0.0, n_lines: int = 2) -> None:
+    def __init__(
+        self, world: ScriptedWorld, *, radius: float | None = None, loss: float = 0.0, n_lines: int = 2, keeps_history: bool = True
+    ) -> None:
         self.world = world
         self.events: list[Event] = []
         coverage = CoverageConfig(places=(LEFT, RIGHT)[:n_lines], radius=radius)
-        config = SwarmConfig(seed=1, boot=BOOT, radio=RadioConfig(loss=loss), coverage=coverage, response=SURE)
+        config = SwarmConfig(seed=1, boot=BOOT, radio=RadioConfig(loss=loss), coverage=coverage, response=SURE, keeps_history=keeps_history)
         self.swarm = Swarm(world, config=config, observe=self.events.extend)
         self.bases = [BaseStation() for _ in range(n_lines)]
         self.now_ns = 0
@@ -200,3 +202,41 @@ def test_the_same_seed_gives_the_same_bytes_on_every_line() -> None:
         sites.append(site)
     assert sites[0].sent == sites[1].sent
     assert all(sites[0].sent)
+
+
+def test_at_the_end_nobody_waits_for_a_backpack_that_stands_out_of_coverage() -> None:
+    world = ScriptedWorld({1: (1.0, 5.0), 2: (1.5, 5.0), 3: (5.0, 5.0), 4: (5.1, 5.0)})
+    site = Site(world, radius=3.0)
+    world.meet(1, 2, start_s=1.0, end_s=2.0)
+    world.meet(3, 4, start_s=1.0, end_s=2.0)
+    site.run_until(4.0)
+    site.finish(within_s=10.0)
+    assert site.heard(0) == {(1, 2), (2, 1)}
+    assert (site.swarm.n_buffered, site.swarm.n_uncovered) == (2, 2)
+
+
+def test_a_train_just_before_the_end_moves_nobody_after_it() -> None:
+    world = ScriptedWorld({1: (1.0, 5.0), 2: (1.5, 5.0)})
+    site = Site(world, n_lines=1)
+    site.run_until(3.0)
+    site.bases[0].send(site.bases[0].address[1], a_command(5, Action.TURN_LEFT), now_ns=site.now_ns)
+    site.run_until(5.0, done=lambda: bool(site.swarm.executed))
+    site.finish()
+    assert world.done == []
+    assert [one.responded for one in site.swarm.executed] == [False]
+
+
+def test_without_a_history_a_long_run_holds_no_more_than_a_short_one() -> None:
+    world = ScriptedWorld(dict.fromkeys(range(1, 5), (1.0, 5.0)))
+    for number in range(600):
+        world.meet(1 + number % 3, 4, start_s=1.0 + 0.2 * number, end_s=1.1 + 0.2 * number)
+    site = Site(world, n_lines=1, keeps_history=False)
+    sizes = []
+    for until_s in (30.0, 120.0, 140.0):
+        site.run_until(until_s)
+        swarm = site.swarm
+        sizes.append((len(swarm._dues), len(swarm.reports._rows) + len(swarm.reports._acknowledged), len(swarm.reports._pending)))
+    assert swarm.reports.n_reports == 1_200
+    assert swarm.reports.n_unacknowledged == 0
+    assert sizes[1][0] < 2 * sizes[0][0] + 50
+    assert sizes[2][1:] == (0, 0)
