@@ -1,4 +1,4 @@
-"""Command line of the simulator: ``run`` writes a run's files, ``serve`` stands in for a dongle, ``render`` draws."""
+"""Command line of the simulator: ``run`` writes a run's files, ``serve`` and ``replay`` stand in for dongles, ``render`` draws."""
 
 import argparse
 import os
@@ -9,12 +9,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
-from simulator import arena_flags
+from simulator import arena_flags, motion_flags
 from simulator.config import RunConfig
 from simulator.config_sources import load_config
 from simulator.errors import InterruptedRunError, ParameterError, ScenarioError, SimulationError
 from simulator.log import set_up_logging
-from simulator.motion import WallLaw
 
 _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 
@@ -54,6 +53,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         from simulator import render  # noqa: PLC0415
 
         return render.main(args)
+    if args.command == "replay":
+        from simulator import replay  # noqa: PLC0415
+
+        return replay.main(args)
     if args.command == "scenarios":
         from simulator.listing import list_scenarios  # noqa: PLC0415
 
@@ -84,7 +87,7 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         run(config)
         return 0
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, resume, serve, render or scenarios"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, resume, serve, replay, render or scenarios"], status=_EXIT_USAGE)
 
 
 def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
@@ -113,6 +116,12 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
         from simulator import render as render_module  # noqa: PLC0415  # same
 
         render_module.add_arguments(render)
+    replay = commands.add_parser("replay", help="let a recorded run happen again behind a virtual coordinator")
+    _add_common(replay, is_command=True)
+    if "replay" in given:
+        from simulator import replay as replay_module  # noqa: PLC0415  # as above
+
+        replay_module.add_arguments(replay)
     scenarios = commands.add_parser("scenarios", help="list scenarios and presets")
     _add_common(scenarios, is_command=True)
     scenarios.add_argument("--json", action="store_true", help="as JSON, with the source of every value")
@@ -150,15 +159,7 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("--snapshot-every", dest="snapshot_every_s", type=float, metavar="S", help="also each S seconds of the run")
     run.add_argument("--watch", action="store_true", default=None, help="show the insects in the terminal while they walk")
     run.add_argument("--watch-speed", type=float, metavar="X", help="and no faster than X seconds of the run in one of ours")
-    add_motion_arguments(run)
-
-
-def add_motion_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of how insects move; all keys of the table ``motion`` can be given in TOML or by variables."""
-    laws = [law.value for law in WallLaw]
-    parser.add_argument("--wall-law", dest="motion.wall_law", choices=laws, help="what insects do at walls (default: the preset's)")
-    parser.add_argument("--persistence", dest="motion.persistence", type=float, metavar="G", help="mean cosine of turns, 0 to 0.999")
-    parser.add_argument("--levy", dest="motion.levy_exponent", type=float, metavar="MU", help="power-law legs with this exponent")
+    motion_flags.add_arguments(run)
 
 
 def _complain(problems: Sequence[str], *, status: int) -> int:

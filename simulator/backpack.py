@@ -52,11 +52,9 @@ _MAX_NEIGHBOURS = 250  # the table's size in this model: the strongest are told
 _MODULUS = 1 << 16
 _TICKS = 1 << 32
 
-# A CC2530 that listens all the time draws 24 mA (its datasheet), so a 50 mAh cell lasts two hours; the voltage is taken to
-# fall evenly from 3.0 V to the 2.0 V at which the chip stops.
+# The voltage is taken to fall evenly over the battery's life to the 2.0 V at which a CC2530 stops (its datasheet).
 _FULL_MV = 3_000
 _EMPTY_MV = 2_000
-_LIFE_MS = 2 * 3_600_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +73,11 @@ class BackpackConfig:
         Encounters in the buffer at most; 256 of 10 bytes take 2.5 KiB of a CC2530's 8 KiB.
     spread_ms
         Hello, at boot and on a broadcast request, waits a random part of this, so that a swarm does not answer at once [ms].
+    battery_life_ms
+        The voltage told falls from full to empty over this, counted from boot [ms]. A CC2530 that listens all the time draws 24 mA
+        (its datasheet), so a 50 mAh cell lasts two hours.
+    insect_obeys
+        False where the insect cannot be made to do anything, as in a replay: commands are answered, and the mode stays what is sensed.
     """
 
     report_period_ms: int = 1_000
@@ -83,11 +86,13 @@ class BackpackConfig:
     provisional_ms: int = 30_000
     capacity: int = 256
     spread_ms: int = 1_000
+    battery_life_ms: int = 2 * 3_600_000
+    insect_obeys: bool = True
     firmware: int = 0x0001
     outbox: OutboxConfig = field(default_factory=OutboxConfig)
 
     def __post_init__(self) -> None:
-        for name in ("report_period_ms", "status_period_ms", "neighbours_period_ms", "provisional_ms", "capacity"):
+        for name in ("report_period_ms", "status_period_ms", "neighbours_period_ms", "provisional_ms", "capacity", "battery_life_ms"):
             if getattr(self, name) < 1:
                 raise ParameterError(name=name, got=getattr(self, name), wanted="at least 1")
 
@@ -171,6 +176,11 @@ class Backpack:
         return len(self._buffer) + self._n_unacknowledged
 
     @property
+    def n_open(self) -> int:
+        """Encounters that go on."""
+        return len(self._contacts)
+
+    @property
     def is_settled(self) -> bool:
         """Nothing is left to say: no contact is open, and the base station has everything."""
         return self._hello_at_ms is None and not self._contacts and not self._buffer and self._outbox.is_empty
@@ -225,6 +235,12 @@ class Backpack:
         """Tell state and neighbours no more by the clock, so that what is under way comes to an end."""
         self._status_at_ms = self._neighbours_at_ms = None
 
+    def rejoin(self, *, now_ms: int) -> None:
+        """Have joined another coordinator, or the old one again: say hello to it, and repeat soon what nobody has confirmed."""
+        self._outbox.hurry(now_ms=now_ms)
+        if self._hello_at_ms is None and not self._outbox.holds(Hello):
+            self._hello_at_ms = now_ms
+
     def _obey(self, message: Downlink, *, now_ms: int, is_broadcast: bool) -> list[Effect]:
         match message:
             case HelloRequest():
@@ -253,13 +269,22 @@ class Backpack:
         for outcome in outcomes:
             if outcome.actuation is not None:
                 actuations.append(outcome.actuation)
-                self.change_mode(outcome.actuation.mode, outcome.actuation.cause, at_ms=now_ms)
+                self._expect(outcome.actuation, now_ms=now_ms)
             if outcome.command is not None:
                 # A full outbox costs a reply, never the execution: the base station then reports the outcome as unknown.
                 self._outbox.put(
                     StimulateReply(command=outcome.command, result=outcome.result, executed_ms=_tick(outcome.decided_ms), mode=self.mode)
                 )
         return actuations
+
+    def _expect(self, actuation: Actuation, *, now_ms: int) -> None:
+        """Take for done what an insect always does; whether it responds to more than that will be sensed."""
+        if not self._config.insect_obeys:
+            return
+        if actuation.mode is not None:
+            self.change_mode(actuation.mode, actuation.cause, at_ms=now_ms)
+        elif self.mode is WireMode.CRW:
+            self.change_mode(WireMode.CRW, actuation.cause, at_ms=now_ms)
 
     def _tell_what_is_due(self, now_ms: int) -> None:
         if self._hello_at_ms is not None and now_ms >= self._hello_at_ms:
@@ -276,7 +301,7 @@ class Backpack:
 
     def _tell_status(self, *, now_ms: int | None = None) -> None:
         age_ms = (self._since_ms if now_ms is None else now_ms) - self._booted_ms
-        battery_mv = max(_EMPTY_MV, _FULL_MV - (_FULL_MV - _EMPTY_MV) * age_ms // _LIFE_MS)
+        battery_mv = max(_EMPTY_MV, _FULL_MV - (_FULL_MV - _EMPTY_MV) * age_ms // self._config.battery_life_ms)
         self._outbox.put(
             Status(
                 mode=self.mode, cause=self.cause, mode_since_ms=_tick(self._since_ms), battery_mv=battery_mv,

@@ -131,3 +131,13 @@ class MissingLibraryError(SimulationError):
     def __init__(self, *, library: str, needed_for: str, remedy: str) -> None:
         self.library = library
         super().__init__(f"the library {library} is not installed; wanted for {needed_for}: {remedy}")
+
+
+class RecordingError(SimulationError):
+    """A recording cannot be replayed: mend the file at the line told, or give another one."""
+
+    def __init__(self, *, path: Path, problem: str, line: int | None = None) -> None:
+        self.path = path
+        self.line = line
+        self.problem = problem
+        super().__init__(f"{path}{'' if line is None else f', line {line}'}: {problem}")

@@ -46,6 +46,11 @@ class OutputDirectory:
         """Where results go."""
         return self._path
 
+    @property
+    def unfinished(self) -> Path:
+        """A directory for files that grow during the run; it outlives the process only where that is killed."""
+        return self._staging
+
     def __enter__(self) -> Self:
         return self
 
@@ -69,6 +74,8 @@ class OutputDirectory:
             for name, content in files.items():
                 (self._staging / name).write_bytes(content)
             if not self._path.exists():
+                for unfinished in set(self._staging.iterdir()) - {self._staging / name for name in files}:
+                    unfinished.unlink()
                 self._staging.rename(self._path)
                 return
             (self._path / list(files)[-1]).unlink(missing_ok=True)

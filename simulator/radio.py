@@ -79,8 +79,12 @@ class Radio:
 
     def rssi_dbm(self, distance_m: float) -> RssiDbm:
         """Return the signal strength at a distance [m; nearer than 1 cm counts as 1 cm], as a radio says it: whole dBm."""
+        return RssiDbm(max(-128, min(127, round(self.strength_dbm(distance_m)))))
+
+    def strength_dbm(self, distance_m: float) -> float:
+        """Return the same as a number that is not rounded, as an association compares it [dBm]."""
         loss_db = self.config.loss_1m_db + 10 * self.config.exponent * math.log10(max(distance_m, _NEAREST_M))
-        return RssiDbm(max(-128, min(127, round(self.config.tx_power_dbm - loss_db))))
+        return self.config.tx_power_dbm - loss_db
 
     def _fly(self, node: int, stream: int) -> Flight:
         index = self._n_sent[node, stream]

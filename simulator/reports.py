@@ -13,34 +13,42 @@ HEADER = ("node", "boot", "sequence", "peer", "t_start_s", "t_end_s", "is_ongoin
 
 @dataclass(slots=True, kw_only=True)
 class ReportLog:
-    """Every encounter report that a backpack handed to its radio, and whether the base station has confirmed it."""
+    """Every encounter report that a backpack handed to its radio, and whether the base station has confirmed it.
 
+    Without ``keeps_rows`` they are only counted, so that a run without end does not fill the memory.
+    """
+
+    keeps_rows: bool = True
+    n_reports: int = 0
+    """Reports so far."""
+    _n_acknowledged: int = 0
     _rows: list[tuple[int, int, int, int, int, int, bool]] = field(default_factory=list)
     _pending: dict[tuple[int, int], range] = field(default_factory=dict)
     _acknowledged: set[int] = field(default_factory=set)
 
     @property
-    def n_reports(self) -> int:
-        """Reports so far."""
-        return len(self._rows)
-
-    @property
     def n_unacknowledged(self) -> int:
         """Reports that the base station has not confirmed."""
-        return len(self._rows) - len(self._acknowledged)
+        return self.n_reports - self._n_acknowledged
 
     def add(self, batch: EncounterBatch, *, node: NodeId, boot: BootId, sequence: int, clock: DriftingClock) -> None:
         """Note a batch that goes on the air for the first time."""
-        first = len(self._rows)
+        first = self.n_reports
+        self.n_reports += len(batch.entries)
+        self._pending[node, sequence] = range(first, self.n_reports)
+        if not self.keeps_rows:
+            return
         for entry in batch.entries:
             start_ns = clock.elapsed_ns(entry.start_ms)
             end_ns = clock.elapsed_ns(entry.start_ms + entry.duration_ms)
             self._rows.append((node, boot, sequence, entry.peer, start_ns, end_ns, entry.is_ongoing))
-        self._pending[node, sequence] = range(first, len(self._rows))
 
     def acknowledge(self, *, node: NodeId, sequence: int) -> None:
         """Note that the base station has the batch that ``node`` sent under this number."""
-        self._acknowledged.update(self._pending.pop((node, sequence)))
+        done = self._pending.pop((node, sequence))
+        self._n_acknowledged += len(done)
+        if self.keeps_rows:
+            self._acknowledged.update(done)
 
     def to_csv(self) -> bytes:
         """Return ``reported.csv``: times in seconds of the run, to the microsecond; flags as 0 and 1."""

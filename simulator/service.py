@@ -1,4 +1,4 @@
-"""A swarm in real time behind a serial line, until the time or a signal ends it.
+"""A swarm in real time behind serial lines, until the time or a signal ends it.
 
 The first SIGTERM or SIGINT lets the insects stand still and the backpacks finish; the second leaves at once.
 """
@@ -8,157 +8,192 @@ import contextlib
 import dataclasses
 import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import version
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId
 from simulator.backpack import BackpackConfig
+from simulator.carrier import Carrier, open_line
 from simulator.clock import Clock
+from simulator.coverage import CoverageConfig
 from simulator.errors import LineError
 from simulator.events import Event
-from simulator.line import LineSpec, SerialEnd
+from simulator.habitat import Habitat
+from simulator.line import LineSpec
 from simulator.log import EventLog
 from simulator.radio import RadioConfig
-from simulator.serial_port import SerialPortEnd
+from simulator.replay_config import ReplayConfig
+from simulator.response import ResponseConfig
 from simulator.serve_config import ServeConfig
-from simulator.setting import Setting
 from simulator.swarm import Swarm, SwarmConfig
-from simulator.tcp_port import TcpEnd
-from simulator.truth import TruthRecorder
-from simulator.virtual_serial import PtyEnd
 from simulator.watch import Watch
-from simulator.world import World
 
 log = EventLog(__name__)
-
-_MAX_BACKLOG = 64 * 1024
-"""Bytes that wait for a slow listener at most [B]; frames beyond that are lost, as in an overrun, and the link repeats them."""
 
 _SHORTEST_SLEEP_NS = 2 * NS_PER_MS
 _LAG_BEGINS_NS = 1 * NS_PER_S
 _LAG_ENDS_NS = 200 * NS_PER_MS
 _STATUS_PERIOD_NS = NS_PER_S // 2
+_FLUSH_PERIOD_NS = NS_PER_S
+_NEVER_NS = 1 << 62
 
 
-class Service:
-    """Drives a swarm by a clock and carries bytes between it and a line.
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Cast:
+    """What a run puts behind the lines.
 
     Parameters
     ----------
+    world
+        Before its first ``advance``.
+    end_s
+        End by itself then [s of the run]; None: on a signal.
+    insects_obey
+        False in a replay: commands are answered and change nothing.
+    observe
+        Are given the world's events as they happen.
+    flush
+        Called about every second of the wall clock, so that what was observed is not lost with the process.
+    tend
+        Called after every step until the world ends, to do what is due besides: close doors.
+    picture
+        Shows the world while it runs, in place of a line of state.
+    """
+
+    world: Habitat
+    seed: int
+    coverage: CoverageConfig
+    end_s: float | None
+    observe: tuple[Callable[[Sequence[Event]], None], ...] = ()
+    flush: Callable[[], None] = lambda: None
+    tend: Callable[[], None] = lambda: None
+    picture: Watch | None = None
+    insects_obey: bool = True
+    response: ResponseConfig = dataclasses.field(default_factory=ResponseConfig)
+    metres_per_unit: float = 1.0
+    speed_factor: float = 1.0
+
+
+class Service:
+    """Drives a swarm by a clock and carries bytes between it and its lines.
+
+    Parameters
+    ----------
+    lines
+        One for each coordinator of the cast.
     clock
         Whose monotonic time the run follows.
     """
 
-    def __init__(self, config: ServeConfig, setting: Setting, *, line: LineSpec, clock: Clock) -> None:
+    def __init__(self, config: ServeConfig | ReplayConfig, cast: Cast, *, lines: Sequence[LineSpec], clock: Clock) -> None:
         self._config = config
-        self._setting = setting
-        self._line = line
+        self._cast = cast
+        self._lines = tuple(lines)
         self._clock = clock
-        self._t0_wall_ns = clock.wall_ns()
-        self._boot = BootId(self._t0_wall_ns // NS_PER_S % (1 << 16) if config.boot is None else config.boot)
-        self._world = World(
-            setting.arena,
-            motion=setting.motion,
-            ranges=setting.ranges,
-            ids=setting.ids,
-            seed=setting.seed,
-            speed_factor=config.speed_factor,
-        )
-        self._recorder = TruthRecorder(self._world) if config.out is not None else None
-        self._picture = _make_picture(config, setting, self._world)
-        self._swarm = Swarm(self._world, config=_swarm_config(config, setting, boot=self._boot), observe=self._observe)
-        self._changed_at_s: list[float] = []
-        self._backlog = bytearray()
-        self._n_overruns = 0
-        self._has_outgoing = asyncio.Event()
+        self._t0_ns = clock.monotonic_ns()
+        self.t0_wall_ns = clock.wall_ns()
+        self.boot = BootId(self.t0_wall_ns // NS_PER_S % (1 << 16) if config.boot is None else config.boot)
+        self._world = cast.world
+        self._swarm = Swarm(self._world, config=_swarm_config(config, cast, boot=self.boot), observe=self._observe)
+        self._carriers: tuple[Carrier, ...] = ()
         self._wake = asyncio.Event()
         self._n_signals = 0
-        self._t0_ns = 0
+        self._end_ns = _NEVER_NS if cast.end_s is None else round(cast.end_s * NS_PER_S)
         self._is_behind = False
-        self._was_open = False
-        self._status_at_ns = 0
+        self._status_at_ns = self._flush_at_ns = 0
 
     async def run(self) -> None:
-        """Open the line and serve to the end.
+        """Open the lines and serve to the end.
 
         Raises
         ------
         LineError
-            The line or the ready file cannot be had.
+            A line or the ready file cannot be had.
         """
-        line = await open_line(self._line)
         loop = asyncio.get_running_loop()
-        try:
-            self._t0_ns, self._t0_wall_ns = self._clock.monotonic_ns(), self._clock.wall_ns()
-            if self._config.duration_s is not None:
-                self._swarm.end_at(round(self._config.duration_s * NS_PER_S))
+        async with contextlib.AsyncExitStack() as stack:
+            self._carriers = tuple([await self._open(index, stack) for index in range(len(self._lines))])
+            self._t0_ns, self.t0_wall_ns = self._clock.monotonic_ns(), self._clock.wall_ns()
+            if self._end_ns < _NEVER_NS:
+                self._swarm.end_at(self._end_ns)
             for number in (signal.SIGTERM, signal.SIGINT):
                 loop.add_signal_handler(number, self._take_signal)
-            with _ready_file(self._config.ready_file, line.address), self._picture or contextlib.nullcontext():
-                log.info("serve.ready", line=line.address, biobots=self._setting.biobots, speed=self._config.speed_factor, boot=self._boot)
-                async with asyncio.TaskGroup() as group:
-                    carriers = [group.create_task(self._receive(line)), group.create_task(self._send(line))]
-                    await self._pace()
-                    for carrier in carriers:
-                        carrier.cancel()
-        finally:
-            for number in (signal.SIGTERM, signal.SIGINT):
-                loop.remove_signal_handler(number)
-            await line.aclose()
-        unacknowledged = self._swarm.reports.n_unacknowledged
-        report = log.warning if unacknowledged or self._swarm.n_dropped else log.info
-        report(
-            "serve.ended",
-            reports=self._swarm.reports.n_reports,
-            unacknowledged=unacknowledged,
-            dropped=self._swarm.n_dropped,
-            line_faults=self._line_faults(),
-        )
+                stack.callback(loop.remove_signal_handler, number)
+            addresses = [carrier.address for carrier in self._carriers]
+            stack.enter_context(_ready_file(self._config.ready_file, addresses))
+            if self._cast.picture is not None:
+                stack.enter_context(self._cast.picture)
+            log.info(
+                "serve.ready", line=", ".join(addresses), biobots=len(self._world.ids), speed=self._config.speed_factor, boot=self.boot
+            )  # fmt: skip
+            async with asyncio.TaskGroup() as group:
+                tasks = [group.create_task(work) for carrier in self._carriers for work in (carrier.receive(), carrier.send())]
+                await self._pace()
+                for task in tasks:
+                    task.cancel()
+        self._report_end()
 
-    def files(self) -> Mapping[str, bytes]:
-        """Return the files of the run by name, ``run.json`` last.
+    def describe(self) -> dict[str, object]:
+        """List what was done, for ``run.json``: parameters of radios and backpacks, and what came of them."""
+        config, swarm = self._config, self._swarm
+        return {
+            "t0_wall_ns": self.t0_wall_ns,
+            "speed_factor": config.speed_factor,
+            "boot": self.boot,
+            "links": list(config.links),
+            "coordinator_places": [list(place) for place in self._cast.coverage.places],
+            "parameters": {
+                "biobots": len(self._world.ids),
+                "duration_s": self._world.now_s,
+                "coverage_radius": self._cast.coverage.radius,
+                "handover_db": self._cast.coverage.handover_db,
+                "loss": config.loss,
+                "drift_ppm": config.drift_ppm,
+                "report_period_s": config.report_period_s,
+                "status_period_s": config.status_period_s,
+                "neighbours_period_s": config.neighbours_period_s,
+                "provisional_s": config.provisional_s,
+                "battery_life_s": config.battery_life_s,
+            },
+            "commands": [dataclasses.asdict(one) for one in swarm.executed],
+            "reports": swarm.reports.n_reports,
+            "reports_unacknowledged": swarm.reports.n_unacknowledged,
+            "encounters_dropped_by_backpacks": swarm.n_dropped,
+            "encounters_not_taken": swarm.n_buffered,
+            "encounters_lost_with_backpacks": swarm.n_lost,
+            "silenced": {str(node): reason for node, reason in sorted(swarm.silenced.items())},
+            "rejoined": swarm.n_rejoined,
+            "out_of_coverage_at_the_end": swarm.n_uncovered,
+            "line_faults": self._line_faults(),
+        }
 
-        Raises
-        ------
-        ValueError
-            The configuration asks for no files, so no truth was kept.
-        """
-        if self._recorder is None:
-            msg = "no truth was recorded: the configuration has no 'out'"
-            raise ValueError(msg)
-        truth = self._recorder.files(
-            zero_s=0.0,
-            run=self._describe(),
-            position_samples=self._config.position_samples,
-            arena=self._setting.arena,
-            changes=self._setting.arena_changes[: len(self._changed_at_s)],
-        )
-        return {"reported.csv": self._swarm.reports.to_csv(), **truth}
+    def reported(self) -> bytes:
+        """Return the content of ``reported.csv``."""
+        return self._swarm.reports.to_csv()
 
-    async def _receive(self, line: SerialEnd) -> None:
-        while True:
-            self._swarm.feed(await line.read(), now_ns=self._now_ns())
-            self._pump()
+    async def _open(self, index: int, stack: contextlib.AsyncExitStack) -> Carrier:
+        line = await open_line(self._lines[index])
+        stack.push_async_callback(line.aclose)
+
+        def feed(data: bytes) -> None:
+            self._swarm.feed(data, now_ns=self._now_ns(), coordinator=index)
+            self._carriers[index].pump()
             self._wake.set()
 
-    async def _send(self, line: SerialEnd) -> None:
-        while True:
-            await self._has_outgoing.wait()
-            self._has_outgoing.clear()
-            data = bytes(self._backlog)
-            self._backlog.clear()
-            await line.write(data)
+        return Carrier(self._swarm.coordinators[index], line=line, feed=feed)
 
     async def _pace(self) -> None:
         drained_ns: int | None = None
         while True:
             now_ns = self._now_ns()
             if self._n_signals and not self._swarm.has_ended:
-                self._swarm.end_at(min(now_ns, self._end_ns()))
+                self._swarm.end_at(min(now_ns, self._end_ns))
             self._swarm.step(now_ns)
-            self._change_arena()
-            self._pump()
+            if not self._swarm.has_ended:
+                self._cast.tend()
+            for carrier in self._carriers:
+                carrier.pump()
             self._watch(now_ns)
             if self._swarm.has_ended:
                 if drained_ns is None:
@@ -170,15 +205,6 @@ class Service:
                 break
             await self._sleep(now_ns, until_ns=min(self._swarm.next_due_ns(), drained_ns or self._swarm.next_due_ns()))
 
-    def _change_arena(self) -> None:
-        """Put up the walls that are due; whose landmarks are set when is the gateway's business, so times count from the start."""
-        for change in self._setting.arena_changes[len(self._changed_at_s) :]:
-            if self._world.now_s < change.at_s or self._swarm.has_ended:
-                break
-            self._world.replace_arena(change.arena)
-            self._changed_at_s.append(self._world.now_s)
-            log.info("arena.changed", t_s=round(self._world.now_s, 3), holes=change.arena.betti.holes)
-
     async def _sleep(self, now_ns: int, *, until_ns: int) -> None:
         if self._is_behind:
             await asyncio.sleep(0)
@@ -189,14 +215,6 @@ class Service:
         alarm.cancel()
         self._wake.clear()
 
-    def _pump(self) -> None:
-        data = self._swarm.coordinator.take_bytes()
-        if len(self._backlog) + len(data) > _MAX_BACKLOG:
-            self._n_overruns += 1
-        elif data:
-            self._backlog += data
-            self._has_outgoing.set()
-
     def _watch(self, now_ns: int) -> None:
         lag_ns = self._swarm.lag_ns(now_ns)
         if not self._is_behind and lag_ns > _LAG_BEGINS_NS:
@@ -205,25 +223,41 @@ class Service:
         elif self._is_behind and lag_ns < _LAG_ENDS_NS:
             self._is_behind = False
             log.info("world.caught_up")
-        if self._swarm.coordinator.is_open is not self._was_open:
-            self._was_open = self._swarm.coordinator.is_open
-            log.info("gateway.connected" if self._was_open else "gateway.gone")
-        if self._picture is not None:
-            self._picture.show(more=self._state())
+        if now_ns >= self._flush_at_ns:
+            self._flush_at_ns = now_ns + _FLUSH_PERIOD_NS
+            self._cast.flush()
+        if self._cast.picture is not None:
+            self._cast.picture.show(more=self._state())
         elif sys.stderr.isatty() and now_ns >= self._status_at_ns:
             self._status_at_ns = now_ns + _STATUS_PERIOD_NS
-            sys.stderr.write(f"\r{now_ns / NS_PER_S:8.1f} s  {self._setting.biobots} biobots  {self._state()}  \x1b[K")
+            sys.stderr.write(f"\r{now_ns / NS_PER_S:8.1f} s  {len(self._world.ids)} biobots  {self._state()}  \x1b[K")
             sys.stderr.flush()
 
     def _state(self) -> str:
-        gateway = "connected" if self._was_open else "absent"
-        return f"gateway {gateway}  {self._swarm.reports.n_reports} reports, {self._swarm.n_buffered} not yet taken"
+        n_open = sum(carrier.is_open for carrier in self._carriers)
+        gateways = ("connected" if n_open else "absent") if len(self._carriers) == 1 else f"on {n_open} of {len(self._carriers)} lines"
+        uncovered = f"  {n_out} out of coverage" if (n_out := self._swarm.n_uncovered) else ""
+        return f"gateway {gateways}  {self._swarm.reports.n_reports} reports, {self._swarm.n_buffered} not yet taken{uncovered}"
+
+    def _report_end(self) -> None:
+        swarm = self._swarm
+        report = log.warning if swarm.reports.n_unacknowledged or swarm.n_dropped or swarm.n_buffered else log.info
+        report(
+            "serve.ended",
+            reports=swarm.reports.n_reports,
+            unacknowledged=swarm.reports.n_unacknowledged,
+            not_taken=swarm.n_buffered,
+            out_of_coverage=swarm.n_uncovered,
+            dropped=swarm.n_dropped,
+            lost_with_backpacks=swarm.n_lost,
+            line_faults=self._line_faults(),
+        )
 
     def _observe(self, events: Sequence[Event]) -> None:
-        if self._picture is not None:
-            self._picture.note(events)
-        if self._recorder is not None:
-            self._recorder.record(events)
+        if self._cast.picture is not None:
+            self._cast.picture.note(events)
+        for observe in self._cast.observe:
+            observe(events)
 
     def _take_signal(self) -> None:
         self._n_signals += 1
@@ -232,81 +266,16 @@ class Service:
     def _now_ns(self) -> int:
         return self._clock.monotonic_ns() - self._t0_ns
 
-    def _end_ns(self) -> int:
-        return 1 << 62 if self._config.duration_s is None else round(self._config.duration_s * NS_PER_S)
-
     def _line_faults(self) -> dict[str, int]:
-        faults = dict(self._swarm.coordinator.faults)
-        return faults | {"overrun": self._n_overruns} if self._n_overruns else faults
-
-    def _describe(self) -> dict[str, object]:
-        setting, config = self._setting, self._config
-        return {
-            "program": "biobot-sim serve",
-            "version": version("biobot-gateway"),
-            "scenario": config.scenario,
-            "arena": config.arena,
-            "preset": setting.preset,
-            "seed": setting.seed,
-            "unit_of_length": setting.unit,
-            "t0_wall_ns": self._t0_wall_ns,
-            "speed_factor": config.speed_factor,
-            "boot": self._boot,
-            "link": config.link,
-            "parameters": {
-                "biobots": setting.biobots,
-                "speed": setting.motion.speed,
-                "mean_leg": setting.motion.mean_leg,
-                "detection_radius": setting.ranges.detection,
-                "communication_radius": setting.ranges.communication,
-                "duration_s": self._world.now_s,
-                "loss": config.loss,
-                "drift_ppm": config.drift_ppm,
-                "report_period_s": config.report_period_s,
-                "status_period_s": config.status_period_s,
-                "neighbours_period_s": config.neighbours_period_s,
-                "provisional_s": config.provisional_s,
-                "position_samples": config.position_samples,
-            },
-            "arena_area": setting.arena.area,
-            "betti_numbers": [setting.arena.betti.components, setting.arena.betti.holes],
-            "arena_changes": [one | {"at_s": at_s} for one, at_s in zip(setting.describe_changes(), self._changed_at_s, strict=False)],
-            "arena_counts": dict(setting.arena_counts),
-            "commands": [dataclasses.asdict(one) for one in self._swarm.executed],
-            "reports": self._swarm.reports.n_reports,
-            "reports_unacknowledged": self._swarm.reports.n_unacknowledged,
-            "encounters_dropped_by_backpacks": self._swarm.n_dropped,
-            "line_faults": self._line_faults(),
-        }
+        total: Counter[str] = Counter()
+        for carrier in self._carriers:
+            total.update(carrier.faults)
+        return dict(total)
 
 
-async def open_line(spec: LineSpec) -> SerialEnd:
-    """Make the simulator's end of a line.
-
-    Raises
-    ------
-    LineError
-        The name, the port or the device cannot be had.
-    """
-    match spec.kind:
-        case "pty":
-            return PtyEnd(Path(spec.target), baud=spec.baud)
-        case "tcp":
-            return await TcpEnd.listen(spec.target, spec.port, baud=spec.baud)
-        case _:
-            return SerialPortEnd(spec.target, baud=spec.baud or 115_200)
-
-
-def _make_picture(config: ServeConfig, setting: Setting, world: World) -> Watch | None:
-    if not config.watch:
-        return None
-    title = f"{setting.arena_name}, {setting.preset}, seed {setting.seed}: {setting.biobots} biobots at {config.link}"
-    return Watch(world, title=title, end_s=config.duration_s)
-
-
-def _swarm_config(config: ServeConfig, setting: Setting, *, boot: BootId) -> SwarmConfig:
+def _swarm_config(config: ServeConfig | ReplayConfig, cast: Cast, *, boot: BootId) -> SwarmConfig:
     return SwarmConfig(
-        seed=setting.seed,
+        seed=cast.seed,
         boot=boot,
         drift_ppm=config.drift_ppm,
         backpack=BackpackConfig(
@@ -314,21 +283,28 @@ def _swarm_config(config: ServeConfig, setting: Setting, *, boot: BootId) -> Swa
             status_period_ms=round(config.status_period_s * 1000),
             neighbours_period_ms=round(config.neighbours_period_s * 1000),
             provisional_ms=round(config.provisional_s * 1000),
+            battery_life_ms=round(config.battery_life_s * 1000),
+            insect_obeys=cast.insects_obey,
         ),
         radio=RadioConfig(loss=config.loss),
+        coverage=cast.coverage,
+        response=cast.response,
+        metres_per_unit=cast.metres_per_unit,
+        speed_factor=cast.speed_factor,
+        keeps_history=config.out is not None,
     )
 
 
 @contextlib.contextmanager
-def _ready_file(path: str | None, address: str) -> Iterator[None]:
-    """Keep a file with the line's address while the line is up; it appears whole."""
+def _ready_file(path: str | None, addresses: Sequence[str]) -> Iterator[None]:
+    """Keep a file with the lines' addresses, one a line, while they are up; it appears whole."""
     if path is None:
         yield
         return
     place = Path(path)
     fresh = place.with_name(f".{place.name}.partial")
     try:
-        fresh.write_text(address + "\n")
+        fresh.write_text("".join(f"{address}\n" for address in addresses))
         fresh.replace(place)
     except OSError as error:
         raise LineError(line=path, problem=f"the ready file cannot be written: {error.strerror or error}") from error

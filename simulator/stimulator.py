@@ -18,11 +18,23 @@ _US_PER_S = 1_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Actuation:
-    """What the insect is made to do: stand still (S) or walk (CRW), by a command, or (None) because its hold is over."""
+    """What is done to the insect: by a command, or (None) because its hold is over.
 
-    mode: WireMode
+    Parameters
+    ----------
+    mode
+        S: it is made to stand still. CRW: it is let go. None: it is left in the mode it is in.
+    action
+        What the command asked for.
+    train
+        The command whose pulse train reaches it; None where there is none.
+    """
+
+    mode: WireMode | None
     cause: WireCause
     command: int | None
+    action: Action | None = None
+    train: Stimulate | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,14 +53,16 @@ class Stimulator:
 
     A stop is executed at once, whatever runs or waits and whatever its pulse parameters (unfit ones stop the insect without a
     train): what waits behind it is answered EXPIRED. Any other command waits while a pulse train runs, at most four of them, and is
-    refused if it waits longer than its time to live. Turns are answered BAD_PARAMETER: this model's insects cannot be steered.
-    The last 32 commands are remembered, so that a repetition is answered and not obeyed.
+    refused if it waits longer than its time to live. DONE says that the train was delivered, not that the insect responded to it. A
+    turn without a train is answered BAD_PARAMETER. When the hold of a stop is over, the insect is let go; when that of a start or
+    turn is, it is left to itself as it is. The last 32 commands are remembered, so that a repetition is answered and not obeyed.
     """
 
     _known: OrderedDict[int, Outcome] = field(default_factory=OrderedDict)
     _queue: deque[tuple[Stimulate, int]] = field(default_factory=deque)
     _train_until_ms: int = 0
     _hold_until_ms: int | None = None
+    _is_held_still: bool = False
 
     def submit(self, command: Stimulate, *, now_ms: int) -> list[Outcome]:
         """Take a command that has just arrived; return what is decided by now."""
@@ -63,7 +77,7 @@ class Stimulator:
             return [*overtaken, self._execute(command, now_ms=now_ms)]
         if any(one.command == command.command for one, _ in self._queue):
             return []  # its answer will come when it is decided
-        if command.action is not Action.START or not _is_fit(command):
+        if not _is_fit(command) or (command.action is not Action.START and command.duration_ms == 0):
             return [self._decide(command, StimulationResult.BAD_PARAMETER, now_ms=now_ms)]
         if len(self._queue) >= _MAX_QUEUED:
             return [self._decide(command, StimulationResult.REFUSED_LIMIT, now_ms=now_ms)]
@@ -74,9 +88,9 @@ class Stimulator:
         """Do what is due: end a hold, execute or refuse what waited."""
         outcomes = []
         if self._hold_until_ms is not None and now_ms >= self._hold_until_ms:
-            release = Actuation(mode=WireMode.CRW, cause=WireCause.NATURAL, command=None)
+            release = Actuation(mode=WireMode.CRW if self._is_held_still else None, cause=WireCause.NATURAL, command=None)
             outcomes.append(Outcome(command=None, result=StimulationResult.DONE, decided_ms=now_ms, actuation=release))
-            self._hold_until_ms = None
+            self._hold_until_ms, self._is_held_still = None, False
         kept: deque[tuple[Stimulate, int]] = deque()
         while self._queue:
             command, received_ms = self._queue.popleft()
@@ -97,10 +111,20 @@ class Stimulator:
         return min(dues, default=None)
 
     def _execute(self, command: Stimulate, *, now_ms: int) -> Outcome:
-        self._train_until_ms = now_ms + (command.duration_ms if _is_fit(command) else 0)
-        self._hold_until_ms = now_ms + command.hold_ms if command.hold_ms else None
-        mode = WireMode.S if command.action is Action.STOP else WireMode.CRW
-        actuation = Actuation(mode=mode, cause=WireCause.COMMAND, command=command.command)
+        has_train = _is_fit(command) and command.duration_ms > 0
+        self._train_until_ms = now_ms + (command.duration_ms if has_train else 0)
+        mode: WireMode | None = None
+        match command.action:
+            case Action.STOP:
+                mode, self._is_held_still = WireMode.S, True
+            case Action.START:
+                mode, self._is_held_still = WireMode.CRW, False
+            case Action.TURN_LEFT | Action.TURN_RIGHT:
+                pass  # an insect that is held still stays so, whatever it feels
+        if not (mode is None and self._is_held_still):
+            self._hold_until_ms = now_ms + command.hold_ms if command.hold_ms else None
+        train = command if has_train else None
+        actuation = Actuation(mode=mode, cause=WireCause.COMMAND, command=command.command, action=command.action, train=train)
         return self._decide(command, StimulationResult.DONE, now_ms=now_ms, actuation=actuation)
 
     def _decide(self, command: Stimulate, result: StimulationResult, *, now_ms: int, actuation: Actuation | None = None) -> Outcome:

@@ -1,42 +1,48 @@
-"""Insects, backpacks, air and coordinator as one machine that bytes and time go into and bytes come out of. No I/O, no clock.
+"""Insects, backpacks, air and coordinators as one machine that bytes and time go into and bytes come out of. No I/O, no clock.
 
 The world may lag behind: it is advanced in bounded steps, so that a machine that is too slow still answers on its serial line.
-What the insects then do is told late but dated right. Backpacks, air and coordinator always keep to the caller's time.
+What the insects then do is told late but dated right. Backpacks, air and coordinators always keep to the caller's time.
 """
 
+import dataclasses
 import heapq
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from firmware_protocol.envelope import RadioReceived
-from firmware_protocol.messages import EncounterBatch, Neighbour, WireCause, WireMode
+from firmware_protocol.messages import EncounterBatch, WireCause, WireMode
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId
 from simulator import chance
 from simulator.air import Air, DownlinkArrival, SendingDone, UplinkArrival
 from simulator.backpack import MAX_NODE, Acknowledged, Backpack, BackpackConfig, Effect, Transmission
 from simulator.clock import DriftingClock
-from simulator.coordinator import Coordinator
+from simulator.coordinator import Coordinator, CoordinatorConfig
+from simulator.coverage import Coverage, CoverageConfig, Place, spread_places
 from simulator.errors import ParameterError
-from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
-from simulator.legs import Floats
+from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
+from simulator.habitat import Habitat
 from simulator.radio import Radio, RadioConfig, lqi
 from simulator.reports import ReportLog
+from simulator.response import ResponseConfig
+from simulator.steering import ExecutedActuation, Steering
 from simulator.stimulator import Actuation
-from simulator.world import World
+from simulator.surroundings import Surroundings
 
 _CLOCK_STREAM = 220
 _DRIFT_STREAM = 221
 
 _TICK_NS = 50 * NS_PER_MS
 _LONGEST_STEP_NS = 200 * NS_PER_MS
+_ASSOCIATION_NS = 500 * NS_PER_MS
+"""How often backpacks compare coordinators."""
+
 _NEVER_NS = 1 << 62
 
 _EUI64_BASE = 0x00124B0000000000  # Texas Instruments' number
 
 _WIRE_MODE = {Mode.CRW: WireMode.CRW, Mode.S: WireMode.S}
 _WIRE_CAUSE = {Cause.NATURAL: WireCause.NATURAL, Cause.COMMAND: WireCause.COMMAND}
-_CAUSE = {wire: cause for cause, wire in _WIRE_CAUSE.items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +57,12 @@ class SwarmConfig:
         Clocks run too fast or too slow by up to this, drawn uniformly for each; crystals differ by about 10 ppm [Mar04].
     switched_on_s
         Each backpack was switched on up to this long before the run, drawn uniformly [s].
+    coverage
+        The coordinators; None: one in the middle that is heard everywhere.
+    response, metres_per_unit, speed_factor
+        How insects respond to trains; the world's unit of length [m] and how much faster than life its insects live, for that.
+    keeps_history
+        False: what was done to insects and reported of them is counted only, for runs without end of which nobody asks.
 
     References
     ----------
@@ -63,17 +75,11 @@ class SwarmConfig:
     switched_on_s: float = 60.0
     backpack: BackpackConfig = field(default_factory=BackpackConfig)
     radio: RadioConfig = field(default_factory=RadioConfig)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExecutedActuation:
-    """An insect was stopped or started at ``t_s`` [s of the run]: by a command, or (None) because a hold was over."""
-
-    t_s: float
-    id: int
-    command: int | None
-    mode: str
-    cause: str
+    coverage: CoverageConfig | None = None
+    response: ResponseConfig = field(default_factory=ResponseConfig)
+    metres_per_unit: float = 1.0
+    speed_factor: float = 1.0
+    keeps_history: bool = True
 
 
 class Swarm:
@@ -87,17 +93,31 @@ class Swarm:
         Is given the world's events as they happen.
     """
 
-    def __init__(self, world: World, *, config: SwarmConfig, observe: Callable[[Sequence[Event]], None]) -> None:
+    def __init__(self, world: Habitat, *, config: SwarmConfig, observe: Callable[[Sequence[Event]], None]) -> None:
         if world.ids[-1] > MAX_NODE:
             raise ParameterError(name="biobots", got=world.ids[-1], wanted=f"ids up to {MAX_NODE}: a node number has 16 bits")
-        self.coordinator = Coordinator()
-        self.reports = ReportLog()
-        self.executed: list[ExecutedActuation] = []
+        coverage = config.coverage or CoverageConfig(places=(_middle(world),))
+        self.coordinators = tuple(_make_coordinator(index) for index in range(len(coverage.places)))
+        self.reports = ReportLog(keeps_rows=config.keeps_history)
+        self._steering = Steering(
+            world,
+            seed=config.seed,
+            response=config.response,
+            metres_per_unit=config.metres_per_unit,
+            speed_factor=config.speed_factor,
+            keeps_history=config.keeps_history,
+        )
+        self.n_rejoined = 0
+        """How often a backpack joined another coordinator, or one again."""
+        self.silenced: dict[NodeId, str] = {}
+        """Backpacks that are off, and why."""
+        self.n_lost = 0
+        """Encounters that were not handed over when their backpack fell silent."""
         self._world = world
         self._observe = observe
         self._radio = Radio(seed=config.seed, config=config.radio)
         self._nodes = [NodeId(one) for one in world.ids]
-        self._row = {node: row for row, node in enumerate(self._nodes)}
+        self._surroundings = Surroundings(world, nodes=self._nodes, radio=self._radio)
         self._clocks = {node: _draw_clock(node, config) for node in self._nodes}
         self._backpacks = {node: self._make_backpack(node, config) for node in self._nodes}
         self._air = Air(self._nodes, radio=self._radio, seed=config.seed)
@@ -106,18 +126,38 @@ class Swarm:
         self._world_ns = 0
         self._end_ns = _NEVER_NS
         self.has_ended = False
-        self._places_at_s = -1.0
-        self._places: Floats = world.positions()
-        low_x, low_y, high_x, high_y = world.arena.polygon.bounds
-        self._centre = ((low_x + high_x) / 2, (low_y + high_y) / 2)
+        self._coverage = Coverage(coverage, strength_dbm=self._radio.strength_dbm)
+        if not self._coverage.is_trivial and not self._surroundings.is_known:
+            raise ParameterError(
+                name="coordinators", got=coverage, wanted="one that covers everything, for it is not known where the biobots are"
+            )
+        self._associate_at_ns = 0
+        self._associate(0)
         for node in self._nodes:
             self._plan(node)
-        self.coordinator.start()
+        for coordinator in self.coordinators:
+            coordinator.start()
+
+    @property
+    def coordinator(self) -> Coordinator:
+        """The first coordinator."""
+        return self.coordinators[0]
+
+    @property
+    def executed(self) -> Sequence[ExecutedActuation]:
+        """What was done to insects so far, and what they made of it."""
+        return self._steering.executed
 
     @property
     def is_settled(self) -> bool:
-        """The base station has everything the backpacks had to say."""
-        return all(backpack.is_settled for backpack in self._backpacks.values())
+        """The base station has everything that it can ever get.
+
+        Nothing more comes from silent backpacks, nor, once the world has ended and nobody walks any more, from those out of coverage.
+        """
+        return all(
+            backpack.is_settled or node in self.silenced or (self.has_ended and self._air.home_of(node) is None)
+            for node, backpack in self._backpacks.items()
+        )
 
     @property
     def n_dropped(self) -> int:
@@ -126,8 +166,13 @@ class Swarm:
 
     @property
     def n_buffered(self) -> int:
-        """Encounters that the base station does not have yet."""
-        return sum(backpack.n_buffered for backpack in self._backpacks.values())
+        """Encounters that the base station does not have yet, and may get."""
+        return sum(backpack.n_buffered for node, backpack in self._backpacks.items() if node not in self.silenced)
+
+    @property
+    def n_uncovered(self) -> int:
+        """Backpacks that no coordinator covers now."""
+        return sum(self._air.home_of(node) is None for node in self._nodes)
 
     def lag_ns(self, now_ns: int) -> int:
         """Return how far the world is behind [ns]."""
@@ -140,9 +185,9 @@ class Swarm:
         """
         self._end_ns = max(at_ns, self._world_ns)
 
-    def feed(self, chunk: bytes, *, now_ns: int) -> None:
-        """Take bytes from the base station."""
-        self.coordinator.feed(chunk, now_ns=now_ns)
+    def feed(self, chunk: bytes, *, now_ns: int, coordinator: int = 0) -> None:
+        """Take bytes from the base station at the line of a coordinator."""
+        self.coordinators[coordinator].feed(chunk, now_ns=now_ns)
         self._launch_requests(now_ns)
 
     def step(self, now_ns: int) -> None:
@@ -151,14 +196,18 @@ class Swarm:
             self._advance_world(now_ns)
             if self._world_ns >= self._end_ns:
                 self._end_world(now_ns)
+        self._react(now_ns)
+        if now_ns >= self._associate_at_ns:
+            self._associate(now_ns)
         self._deliver(now_ns)
         while self._dues and self._dues[0][0] <= now_ns:
             due_ns, node = heapq.heappop(self._dues)
             if self._due_ns[node] == due_ns:
                 self._apply(node, self._backpacks[node].poll(now_ms=self._clocks[node].read_ms(now_ns)), now_ns=now_ns)
-        deadline_ns = self.coordinator.next_deadline_ns()
-        if deadline_ns is not None and deadline_ns <= now_ns:
-            self.coordinator.handle_deadline(now_ns=now_ns)
+        for coordinator in self.coordinators:
+            deadline_ns = coordinator.next_deadline_ns()
+            if deadline_ns is not None and deadline_ns <= now_ns:
+                coordinator.handle_deadline(now_ns=now_ns)
         self._launch_requests(now_ns)
 
     def next_due_ns(self) -> int:
@@ -166,17 +215,21 @@ class Swarm:
         dues = [] if self.has_ended else [min(self._world_ns + _TICK_NS, self._end_ns)]
         if self._dues:
             dues.append(self._dues[0][0])
-        dues += [due for due in (self._air.next_arrival_ns(), self.coordinator.next_deadline_ns()) if due is not None]
+        if not self._coverage.is_trivial:
+            dues.append(self._associate_at_ns)
+        deadlines = [coordinator.next_deadline_ns() for coordinator in self.coordinators]
+        dues += [due for due in (self._air.next_arrival_ns(), self._steering.next_due_ns(), *deadlines) if due is not None]
         return min(dues, default=_NEVER_NS)
 
     def _make_backpack(self, node: NodeId, config: SwarmConfig) -> Backpack:
         return Backpack(
             node=node, boot=config.boot, eui64=_EUI64_BASE + node, seed=config.seed, config=config.backpack,
-            now_ms=self._clocks[node].read_ms(0), sense_neighbours=lambda: self._sense_neighbours(node),
+            now_ms=self._clocks[node].read_ms(0), sense_neighbours=lambda: self._surroundings.neighbours(node, silent=self.silenced),
         )  # fmt: skip
 
     def _end_world(self, now_ns: int) -> None:
         self.has_ended = True
+        self._steering.end()
         for event in self._world.open_encounters():
             self._part(event.id1, event.id2, end_ns=self._world_ns, now_ns=now_ns)
         for node, backpack in self._backpacks.items():
@@ -198,12 +251,11 @@ class Swarm:
                     at_ms = self._clocks[node].read_ms(round(t_s * NS_PER_S))
                     self._backpacks[node].change_mode(_WIRE_MODE[mode], _WIRE_CAUSE[cause], at_ms=at_ms)
                     self._plan(node)
+                case BackpackSilenced(id=one, reason=reason):
+                    self._silence(NodeId(one), reason.value)
 
     def _meet(self, id1: int, id2: int, *, start_ns: int) -> None:
-        x1, y1 = self._place(NodeId(id1))
-        x2, y2 = self._place(NodeId(id2))
-        # The world tells of the meeting up to a step later; they may have come nearer or parted again by then.
-        rssi_dbm = self._radio.rssi_dbm(min(math.hypot(x1 - x2, y1 - y2), self._world.ranges.detection))
+        rssi_dbm = self._surroundings.contact_rssi_dbm(NodeId(id1), NodeId(id2))
         for node, peer in ((NodeId(id1), NodeId(id2)), (NodeId(id2), NodeId(id1))):
             self._backpacks[node].begin_encounter(peer, start_ms=self._clocks[node].read_ms(start_ns), rssi_dbm=rssi_dbm)
             self._plan(node)
@@ -217,13 +269,15 @@ class Swarm:
     def _deliver(self, now_ns: int) -> None:
         for arrival in self._air.take_arrived(now_ns):
             match arrival:
-                case UplinkArrival(received=received):
-                    self.coordinator.take_from_radio(received, now_ns=now_ns)
+                case UplinkArrival(coordinator=coordinator, received=received):
+                    self.coordinators[coordinator].take_from_radio(received, now_ns=now_ns)
+                case DownlinkArrival(node=node) if node in self.silenced:
+                    pass
                 case DownlinkArrival(node=node, payload=payload, is_broadcast=is_broadcast):
                     now_ms = self._clocks[node].read_ms(now_ns)
                     self._apply(node, self._backpacks[node].receive(payload, now_ms=now_ms, is_broadcast=is_broadcast), now_ns=now_ns)
-                case SendingDone(handle=handle, status=status):
-                    self.coordinator.confirm(handle, status, now_ns=now_ns)
+                case SendingDone(coordinator=coordinator, handle=handle, status=status):
+                    self.coordinators[coordinator].confirm(handle, status, now_ns=now_ns)
 
     def _apply(self, node: NodeId, effects: Sequence[Effect], *, now_ns: int) -> None:
         for effect in effects:
@@ -239,59 +293,78 @@ class Swarm:
         self._plan(node)
 
     def _actuate(self, node: NodeId, actuation: Actuation, *, now_ns: int) -> None:
-        if self.has_ended:
-            return
-        self._advance_world(now_ns)
-        cause = _CAUSE[actuation.cause]
-        if actuation.mode is WireMode.S:
-            self._world.stop(node, cause=cause)
-        else:
-            self._world.start(node, cause=cause)
-        self.executed.append(
-            ExecutedActuation(t_s=self._world.now_s, id=node, command=actuation.command, mode=actuation.mode.name, cause=cause.value)
-        )
+        if not self.has_ended:
+            self._advance_world(now_ns)
+            self._steering.actuate(node, actuation, now_ns=now_ns)
+
+    def _react(self, now_ns: int) -> None:
+        due_ns = self._steering.next_due_ns()
+        if due_ns is not None and due_ns <= now_ns:
+            self._advance_world(now_ns)
+            self._steering.react(now_ns)
+
+    def _silence(self, node: NodeId, reason: str) -> None:
+        if node not in self.silenced:
+            backpack = self._backpacks[node]
+            self.n_lost += backpack.n_buffered + backpack.n_open
+            self.silenced[node] = reason
+            self._steering.silence(node)
+            self._air.silence(node)
+            self._plan(node)
+
+    def _associate(self, now_ns: int) -> None:
+        """Let each backpack belong to the coordinator that suits it best by now."""
+        self._associate_at_ns = now_ns + _ASSOCIATION_NS
+        for node in self._nodes:
+            home = self._air.home_of(node)
+            if node in self.silenced or (home is not None and self._coverage.is_trivial):
+                continue
+            choice = self._coverage.choose(self._surroundings.place(node), home=home)
+            if choice == home:
+                continue
+            if choice is None:
+                self._air.leave(node)
+                continue
+            self._air.join(node, choice)
+            if now_ns > 0:
+                self.n_rejoined += 1
+                self._backpacks[node].rejoin(now_ms=self._clocks[node].read_ms(now_ns))
+                self._plan(node)
 
     def _transmit(self, node: NodeId, sent: Transmission, *, now_ns: int) -> None:
         if sent.is_first and isinstance(sent.message, EncounterBatch):
             self.reports.add(sent.message, node=node, boot=self._backpacks[node].boot, sequence=sent.sequence, clock=self._clocks[node])
-        x, y = self._place(node)
-        rssi_dbm = self._radio.rssi_dbm(math.hypot(x - self._centre[0], y - self._centre[1]))
+        home, place = self._air.home_of(node), self._surroundings.place(node)
+        if home is None or not self._coverage.covers(home, place):
+            return  # out of hearing; what is kept will be repeated
+        distance = self._coverage.distance(place, home)
+        rssi_dbm = self._radio.rssi_dbm(0.0 if math.isnan(distance) else distance)
         received = RadioReceived(source=self._air.address_of(node), rssi_dbm=rssi_dbm, lqi=lqi(rssi_dbm), payload=sent.payload)
         self._air.send_up(received, node=node, now_ns=now_ns)
 
     def _launch_requests(self, now_ns: int) -> None:
-        while self.coordinator.requests:
-            self._air.send_down(self.coordinator.requests.popleft(), now_ns=now_ns)
+        for index, coordinator in enumerate(self.coordinators):
+            while coordinator.requests:
+                self._air.send_down(coordinator.requests.popleft(), coordinator=index, now_ns=now_ns)
 
     def _plan(self, node: NodeId) -> None:
-        due_ms = self._backpacks[node].next_due_ms()
+        due_ms = None if node in self.silenced else self._backpacks[node].next_due_ms()
         due_ns = None if due_ms is None else self._clocks[node].elapsed_ns(due_ms)
         if self._due_ns.get(node, -1) != due_ns:
             self._due_ns[node] = due_ns
             if due_ns is not None:
                 heapq.heappush(self._dues, (due_ns, node))
 
-    def _place(self, node: NodeId) -> tuple[float, float]:
-        places = self._current_places()
-        row = self._row[node]
-        return float(places[row, 0]), float(places[row, 1])
 
-    def _current_places(self) -> Floats:
-        if self._places_at_s != self._world.now_s:
-            self._places_at_s = self._world.now_s
-            self._places = self._world.positions()
-        return self._places
+def _middle(world: Habitat) -> Place:
+    return (0.0, 0.0) if world.arena is None else spread_places(world.arena.polygon.bounds, 1)[0]
 
-    def _sense_neighbours(self, node: NodeId) -> list[Neighbour]:
-        places = self._current_places()
-        offsets = places - places[self._row[node]]
-        square_distances = (offsets**2).sum(axis=1).tolist()
-        limit = self._world.ranges.communication**2
-        return [
-            Neighbour(node=other, rssi_dbm=self._radio.rssi_dbm(math.sqrt(square)))
-            for other, square in zip(self._nodes, square_distances, strict=True)
-            if square <= limit and other != node
-        ]
+
+def _make_coordinator(index: int) -> Coordinator:
+    plain = CoordinatorConfig()
+    if index == 0:
+        return Coordinator(config=plain)
+    return Coordinator(config=dataclasses.replace(plain, eui64=plain.eui64 + 0x10000 + index, pan_id=plain.pan_id + index))
 
 
 def _draw_clock(node: NodeId, config: SwarmConfig) -> DriftingClock:

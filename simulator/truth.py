@@ -31,9 +31,9 @@ from simulator.events import (
     SilenceReason,
 )
 from simulator.geojson import dump_arena
+from simulator.habitat import Habitat
 from simulator.legs import Floats
 from simulator.setting import change_file
-from simulator.world import World
 
 RUN_FORMAT = 1
 """Told in ``run.json``; a new number for files that an older reader would misunderstand."""
@@ -65,7 +65,7 @@ class TruthRecorder:
 
     __slots__ = ("_encounters", "_modes", "_silences", "_tables", "_world")
 
-    def __init__(self, world: World, *, state: "RecorderState | None" = None) -> None:
+    def __init__(self, world: Habitat, *, state: "RecorderState | None" = None) -> None:
         self._world = world
         self._encounters: list[EncounterEnded] = []
         self._tables: list[EncounterTable] = []
@@ -141,30 +141,37 @@ class TruthRecorder:
 
         Notes
         -----
-        Encounters still open now end now. Times are rounded to a nanosecond; rows are in order of start, end and ids.
+        Encounters still open now end now. Times are rounded to a nanosecond; rows are in order of start, end and ids. Where the
+        world's arena is unknown, there are neither ``truth.npz`` nor ``arena.geojson``.
         """
         rows, places = self._encounter_rows(zero_s)
         spells = self._mode_rows(zero_s)
+        silences = [{"t_s": one.t_s - zero_s, "id": one.id, "reason": one.reason.value} for one in self._silences]
+        counts = {"encounters": len(rows), "mode_spells": len(spells)}
+        files = {
+            "encounters.csv": _csv(("t_start_s", "t_end_s", "id1", "id2"), rows),
+            "modes.csv": _csv(("t_start_s", "t_end_s", "id", "mode", "cause"), spells),
+        }
+        first = arena or self._world.arena
+        if first is not None:
+            files["truth.npz"] = self._dump_places(places, zero_s=zero_s, position_samples=position_samples)
+            files["arena.geojson"] = dump_arena(first).encode()
+            files |= {change_file(number): dump_arena(change.arena).encode() for number, change in enumerate(changes, start=1)}
+            counts["position_samples"] = position_samples
+        about = {"format": RUN_FORMAT, **run, "silenced_backpacks": silences, "counts": counts}
+        return {**files, "run.json": (json.dumps(about, indent=2) + "\n").encode()}
+
+    def _dump_places(self, encounter_places: Floats, *, zero_s: float, position_samples: int) -> bytes:
         t_s = np.linspace(zero_s, self._world.now_s, position_samples)
         truth = io.BytesIO()
         np.savez(
             truth,
-            encounter_position=places,
+            encounter_position=encounter_places,
             t_s=t_s - zero_s,
             ids=np.array(self._world.ids, dtype=np.int64),
             position=self._world.positions_at(t_s),
         )
-        silences = [{"t_s": one.t_s - zero_s, "id": one.id, "reason": one.reason.value} for one in self._silences]
-        counts = {"encounters": len(rows), "mode_spells": len(spells), "position_samples": position_samples}
-        about = {"format": RUN_FORMAT, **run, "silenced_backpacks": silences, "counts": counts}
-        return {
-            "encounters.csv": _csv(("t_start_s", "t_end_s", "id1", "id2"), rows),
-            "modes.csv": _csv(("t_start_s", "t_end_s", "id", "mode", "cause"), spells),
-            "truth.npz": truth.getvalue(),
-            "arena.geojson": dump_arena(arena or self._world.arena).encode(),
-            **{change_file(number): dump_arena(change.arena).encode() for number, change in enumerate(changes, start=1)},
-            "run.json": (json.dumps(about, indent=2) + "\n").encode(),
-        }
+        return truth.getvalue()
 
     def _encounter_rows(self, zero_s: float) -> tuple[list[tuple[str, str, int, int]], Floats]:
         id1, id2, start_s, end_s = self._columns()

@@ -23,8 +23,9 @@ from mapper.pipeline import MIN_ENCOUNTERS, compute_map
 from mapper.types import EncounterTable, FloatArray, MapResult, ModeSpell, Recipe
 from mapper.window import make_encounter_table
 from simulator.arena import build_arena
-from simulator.config import MotionParameters, Ranges
+from simulator.config import Ranges
 from simulator.events import EncounterEnded
+from simulator.motion import MotionParameters
 from simulator.world import World
 from studies.arenas import place_squares
 from studies.scores import winding_number

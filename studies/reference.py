@@ -18,10 +18,11 @@ from gateway.config import GatewayConfig
 from mapper.config import MapperConfig
 from simulator.config import RunConfig
 from simulator.render import RenderConfig
+from simulator.replay_config import ReplayConfig
 from simulator.serve_config import ServeConfig
 
 COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "biobot-sim": ("simulator", ("run", "serve", "render", "scenarios")),
+    "biobot-sim": ("simulator", ("run", "resume", "serve", "replay", "render", "scenarios")),
     "biobot-gateway": ("gateway", ("run", "list-ports", "command", "status")),
     "biobot-mapper": ("mapper", ("run", "serve", "feasibility")),
 }
@@ -29,6 +30,7 @@ CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {
     "biobot-sim run": RunConfig,
     "biobot-sim serve": ServeConfig,
     "biobot-sim render": RenderConfig,
+    "biobot-sim replay": ReplayConfig,
     "biobot-gateway run": GatewayConfig,
     "biobot-mapper": MapperConfig,
 }

@@ -41,7 +41,8 @@ class Ledger:
         assert self.messages.setdefault(sequence, message) == message, "a sequence number was used for two messages"
 
     def acknowledge(self, boot: BootId) -> Acknowledge:
-        next_sequence = 0
+        # What lies more than 32 below the newest was acknowledged, here or by another base station (WIRE_FORMAT.md §5.1).
+        next_sequence = max(0, max(self.messages, default=0) - 32)
         while next_sequence in self.messages:
             next_sequence += 1
         bitmap = sum(1 << bit for bit in range(32) if next_sequence + 1 + bit in self.messages)

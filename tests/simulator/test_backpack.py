@@ -228,10 +228,11 @@ def test_a_time_sync_request_is_answered_at_once_and_not_kept() -> None:
 def test_a_stop_and_a_start_change_the_mode_and_both_are_told() -> None:
     backpack, ledger = a_backpack(spread_ms=0), Ledger()
     run_until_settled(backpack, ledger, Air([]), now_ms=0, before_ms=1_000)
-    stopped = hear(backpack, a_command(1, Action.STOP), now_ms=1_000)
-    started = hear(backpack, a_command(2, Action.START), now_ms=3_000)
-    assert actuations(stopped) == [Actuation(mode=WireMode.S, cause=WireCause.COMMAND, command=1)]
-    assert actuations(started) == [Actuation(mode=WireMode.CRW, cause=WireCause.COMMAND, command=2)]
+    stop, start = a_command(1, Action.STOP), a_command(2, Action.START)
+    stopped, started = hear(backpack, stop, now_ms=1_000), hear(backpack, start, now_ms=3_000)
+    by_command = WireCause.COMMAND
+    assert actuations(stopped) == [Actuation(mode=WireMode.S, cause=by_command, command=1, action=Action.STOP, train=stop)]
+    assert actuations(started) == [Actuation(mode=WireMode.CRW, cause=by_command, command=2, action=Action.START, train=start)]
     messages = said(backpack.poll(now_ms=3_000))
     statuses = [(one.mode, one.cause, one.mode_since_ms) for one in messages if isinstance(one, Status)]
     replies = [(one.command, one.result, one.executed_ms, one.mode) for one in messages if isinstance(one, StimulateReply)]
@@ -303,14 +304,71 @@ def test_a_stop_overtakes_a_running_train_and_whatever_waits_behind_it() -> None
 
 @pytest.mark.parametrize(
     "command",
-    [a_command(1, Action.TURN_LEFT), a_command(1, Action.TURN_RIGHT), a_command(1, Action.START, frequency_hz=151),
-     a_command(1, Action.START, frequency_hz=0), a_command(1, Action.START, duration_ms=1_001)],
+    [a_command(1, Action.TURN_LEFT, duration_ms=0), a_command(1, Action.TURN_RIGHT, frequency_hz=151),
+     a_command(1, Action.START, frequency_hz=151), a_command(1, Action.START, frequency_hz=0),
+     a_command(1, Action.START, duration_ms=1_001)],
 )  # fmt: skip
-def test_turns_and_unfit_pulses_are_refused_as_bad_parameters(command: Downlink) -> None:
+def test_turns_without_a_train_and_unfit_pulses_are_refused_as_bad_parameters(command: Downlink) -> None:
     backpack = a_backpack()
     assert actuations(hear(backpack, command, now_ms=0)) == []
     replies = [one for one in said(backpack.poll(now_ms=0)) if isinstance(one, StimulateReply)]
     assert [one.result for one in replies] == [StimulationResult.BAD_PARAMETER]
+
+
+@pytest.mark.parametrize("action", [Action.TURN_LEFT, Action.TURN_RIGHT])
+def test_a_turn_is_done_once_its_train_is_delivered_and_leaves_the_mode_to_the_insect(action: Action) -> None:
+    backpack = a_backpack(spread_ms=10**9)
+    turn = a_command(1, action)
+    (actuation,) = actuations(hear(backpack, turn, now_ms=0))
+    assert (actuation.mode, actuation.train) == (None, turn)
+    (reply,) = [one for one in said(backpack.poll(now_ms=0)) if isinstance(one, StimulateReply)]
+    assert (reply.result, reply.mode) == (StimulationResult.DONE, WireMode.CRW)
+    assert (backpack.mode, backpack.cause) == (WireMode.CRW, WireCause.COMMAND)
+
+
+def test_a_turn_does_not_end_the_hold_of_a_stop_and_the_end_of_a_starts_hold_wakes_nobody() -> None:
+    backpack = a_backpack()
+    hear(backpack, a_command(1, Action.STOP, hold_ms=5_000), now_ms=0)
+    hear(backpack, a_command(2, Action.TURN_LEFT, hold_ms=1_000), now_ms=1_000)
+    assert [one.mode for one in actuations(backpack.poll(now_ms=4_999))] == []
+    assert [one.mode for one in actuations(backpack.poll(now_ms=5_000))] == [WireMode.CRW]
+    hear(backpack, a_command(3, Action.START, hold_ms=1_000), now_ms=6_000)
+    backpack.change_mode(WireMode.S, WireCause.NATURAL, at_ms=6_500)
+    assert [one.mode for one in actuations(backpack.poll(now_ms=7_000))] == [None]
+    assert (backpack.mode, backpack.cause) == (WireMode.S, WireCause.NATURAL)
+
+
+def test_where_the_insect_does_not_obey_commands_are_answered_and_the_mode_stays() -> None:
+    backpack = Backpack(
+        node=NODE, boot=BOOT, eui64=1, seed=1, config=BackpackConfig(insect_obeys=False), now_ms=0, sense_neighbours=list,
+    )  # fmt: skip
+    hear(backpack, a_command(1, Action.STOP), now_ms=0)
+    (reply,) = [one for one in said(backpack.poll(now_ms=0)) if isinstance(one, StimulateReply)]
+    assert (reply.result, reply.mode, backpack.mode) == (StimulationResult.DONE, WireMode.CRW, WireMode.CRW)
+
+
+@pytest.mark.parametrize(
+    ("life_ms", "age_ms", "battery_mv"), [(10_000, 5_000, 2_500), (10_000, 20_000, 2_000), (7_200_000, 3_600_000, 2_500)]
+)
+def test_the_voltage_falls_evenly_over_the_batterys_life(life_ms: int, age_ms: int, battery_mv: int) -> None:
+    backpack = a_backpack(battery_life_ms=life_ms, spread_ms=0)
+    backpack.quieten()
+    backpack.change_mode(WireMode.S, WireCause.NATURAL, at_ms=age_ms)
+    (status,) = [one for one in said(backpack.poll(now_ms=age_ms)) if isinstance(one, Status)]
+    assert status.battery_mv == battery_mv
+
+
+def test_a_backpack_that_joins_again_says_hello_and_repeats_soon() -> None:
+    backpack, ledger = a_backpack(spread_ms=0), Ledger()
+    run_until_settled(backpack, ledger, Air([]), now_ms=0, before_ms=1_000)
+    backpack.begin_encounter(NodeId(9), start_ms=1_000, rssi_dbm=RssiDbm(-40))
+    backpack.end_encounter(NodeId(9), end_ms=1_500, now_ms=1_500)
+    for now_ms in range(1_500, 120_000, 100):
+        backpack.poll(now_ms=now_ms)  # nobody hears
+    backpack.rejoin(now_ms=120_000)
+    messages = [one for now_ms in range(120_000, 121_500, 100) for one in said(backpack.poll(now_ms=now_ms))]
+    assert any(isinstance(one, Hello) for one in messages)
+    assert any(isinstance(one, EncounterBatch) for one in messages)
 
 
 def test_a_stop_is_obeyed_whatever_its_pulses() -> None:

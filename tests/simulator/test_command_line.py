@@ -78,7 +78,7 @@ def test_a_drawing_and_a_floor_plan_are_walked(tmp_path: Path, suffix: str) -> N
 @pytest.mark.parametrize(
     ("arguments", "status", "problem"),
     [
-        ([], 2, "give a command: run, resume, serve, render or scenarios"),
+        ([], 2, "give a command: run, resume, serve, replay, render or scenarios"),
         (["fly"], 2, "invalid choice: 'fly'"),
         (["run"], 2, "give --out DIR"),
         (["run", "--out", "{tmp}/out"], 2, "give --seed N"),

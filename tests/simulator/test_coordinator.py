@@ -8,7 +8,7 @@ from firmware_protocol.message_codec import encode_uplink
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD, Acknowledge, Hello, HelloRequest, Uplink, UplinkHeader
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
 from simulator import chance, draws
-from simulator.air import assign_addresses
+from simulator.air import Air
 from simulator.clock import DriftingClock, SettableClock
 from simulator.coordinator import Coordinator
 from simulator.radio import Radio, RadioConfig, lqi
@@ -186,6 +186,10 @@ def test_a_settable_clock_moves_only_when_moved() -> None:
 
 @given(seed=st.integers(0, 2**64 - 1))
 def test_short_addresses_differ_and_are_never_the_coordinators_or_a_broadcast(seed: int) -> None:
-    addresses = assign_addresses([NodeId(one) for one in range(1, 2_000)], seed=seed)
-    assert len(set(addresses.values())) == 1_999
-    assert all(0 < one < 0xFFF8 for one in addresses.values())
+    nodes = [NodeId(one) for one in range(1, 2_000)]
+    air = Air(nodes, radio=Radio(seed=seed), seed=seed)
+    for node in [*nodes, *nodes[:500]]:  # some join again
+        air.join(node, 0)
+    addresses = [air.address_of(node) for node in nodes]
+    assert len(set(addresses)) == 1_999
+    assert all(0 < one < 0xFFF8 for one in addresses)

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 import serial
 
+from simulator.carrier import open_line
 from simulator.errors import LineError, ParameterError
 from simulator.line import LineSpec, SerialEnd, parse_line
 from simulator.serial_port import SerialPortEnd
-from simulator.service import open_line
 from simulator.tcp_port import TcpEnd
 from simulator.virtual_serial import PtyEnd
 

@@ -60,7 +60,7 @@ class Walk:
         0 to 2^64 - 1.
     """
 
-    __slots__ = ("_arena", "_ids", "_leg_number", "_mean_leg", "_normal_x", "_normal_y", "_seed", "_speed", "_t_s", "_x", "_y")
+    __slots__ = ("_arena", "_ids", "_leg_number", "_mean_leg", "_normal_x", "_normal_y", "_seed", "_speed", "_steered", "_t_s", "_x", "_y")
 
     def __init__(self, arena: Arena, *, speed: float, mean_leg: float, ids: tuple[int, ...], seed: int) -> None:
         self._arena = arena
@@ -77,6 +77,8 @@ class Walk:
         self._normal_x = np.zeros(len(ids))
         self._normal_y = np.zeros(len(ids))
         self._leg_number = np.zeros(len(ids), dtype=np.uint64)
+        # Rows whose next leg has a given direction, and a given length where that is not nan.
+        self._steered: dict[int, tuple[float, float, float]] = {}
 
     def legs_until(self, end_s: float) -> Iterator[Legs]:
         """Make legs until every walking insect's last one reaches ``end_s`` [s]; at most one leg an insect in each batch.
@@ -113,6 +115,11 @@ class Walk:
         self._normal_x[rows] = 0.0
         self._normal_y[rows] = 0.0
 
+    def steer(self, row: int, *, at_s: float, direction: tuple[float, float], length: float = float("nan")) -> None:
+        """Let a halted insect's next leg begin at ``at_s`` [s] in a direction (a unit vector), with a length where one is given."""
+        self.release(np.array([row]), at_s=at_s)
+        self._steered[row] = (*direction, length)
+
     def _next_legs(self, rows: Indices) -> Legs:
         x, y, t_s = self._x[rows], self._y[rows], self._t_s[rows]
         number = self._leg_number[rows]
@@ -120,6 +127,9 @@ class Walk:
         direction_x, direction_y = self._draw_directions(rows, number)
         bits = draws.words(seed=self._seed, biobot=self._ids[rows], stream=_LENGTH_STREAM, index=number)
         length = self._mean_leg * draws.exponential(bits)
+        for place in [k for k, row in enumerate(rows.tolist()) if row in self._steered]:
+            direction_x[place], direction_y[place], forced = self._steered.pop(int(rows[place]))
+            length[place] = length[place] if np.isnan(forced) else forced
         reach = reach_walls(self._arena, x=x, y=y, direction_x=direction_x, direction_y=direction_y)
         touches = reach.length < length
         t_end_s = t_s + np.minimum(length, reach.length) / self._speed
