@@ -40,6 +40,7 @@ from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
 from simulator import chance
 from simulator.errors import ParameterError
 from simulator.outbox import Outbox, OutboxConfig
+from simulator.proximity import Closed, Opened, ProximityConfig, ProximityLogger
 from simulator.stimulator import Actuation, Outcome, Stimulator
 
 CAN_BE_STIMULATED = 1
@@ -75,6 +76,10 @@ class BackpackConfig:
         Encounters in the buffer at most; 256 of 10 bytes take 2.5 KiB of a CC2530's 8 KiB.
     spread_ms
         Hello, at boot and on a broadcast request, waits a random part of this, so that a swarm does not answer at once [ms].
+    beacon_period_ms
+        What Hello says of it [ms]; 0: encounters are sensed continuously.
+    proximity
+        How encounters are formed from beacons, in milliseconds; None where none are heard.
     """
 
     report_period_ms: int = 1_000
@@ -84,12 +89,18 @@ class BackpackConfig:
     capacity: int = 256
     spread_ms: int = 1_000
     firmware: int = 0x0001
+    beacon_period_ms: int = 0
+    proximity: ProximityConfig | None = None
     outbox: OutboxConfig = field(default_factory=OutboxConfig)
 
     def __post_init__(self) -> None:
         for name in ("report_period_ms", "status_period_ms", "neighbours_period_ms", "provisional_ms", "capacity"):
             if getattr(self, name) < 1:
                 raise ParameterError(name=name, got=getattr(self, name), wanted="at least 1")
+        if not 0 <= self.beacon_period_ms < _MODULUS:
+            raise ParameterError(
+                name="beacon_period_ms", got=self.beacon_period_ms, wanted=f"0 to {_MODULUS - 1}: Hello has 16 bits for it"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +131,8 @@ class _Contact:
     start_ms: int
     rssi_dbm: RssiDbm
     next_report_ms: int
+    last_ms: int | None = None
+    """When the last beacon came [ms]; None where encounters are sensed continuously."""
 
 
 class Backpack:
@@ -155,6 +168,7 @@ class Backpack:
         self._sense_neighbours = sense_neighbours
         self._outbox = Outbox(biobot=node, seed=seed, config=config.outbox)
         self._stimulator = Stimulator()
+        self._logger = None if config.proximity is None else ProximityLogger(config=config.proximity)
         self._contacts: dict[NodeId, _Contact] = {}
         self._buffer: deque[EncounterEntry] = deque()
         self._n_unacknowledged = 0
@@ -185,6 +199,25 @@ class Backpack:
         contact = self._contacts.pop(peer, None)
         if contact is not None:
             self._store(peer, contact, end_ms=max(end_ms, contact.start_ms), now_ms=now_ms)
+
+    def hear_beacon(self, peer: NodeId, *, at_ms: int, rssi_dbm: float, now_ms: int) -> None:
+        """Sense ``peer``'s beacon, which came at ``at_ms``; nothing happens where encounters are not formed from beacons."""
+        if self._logger is not None:
+            self._follow(self._logger.hear(peer, at=at_ms, rssi_dbm=rssi_dbm), now_ms=now_ms)
+            contact = self._contacts.get(peer)
+            if contact is not None:
+                contact.last_ms = max(at_ms, contact.start_ms)
+
+    def sense_until(self, until_ms: int, *, now_ms: int) -> bool:
+        """Know that every beacon up to ``until_ms`` has been given: what none has kept for too long ends; tell whether anything did."""
+        changes = [] if self._logger is None else self._logger.poll(now=until_ms)
+        self._follow(changes, now_ms=now_ms)
+        return bool(changes)
+
+    def stop_sensing(self, *, now_ms: int) -> None:
+        """End every encounter that beacons keep open, with its last beacon."""
+        if self._logger is not None:
+            self._follow(self._logger.close_all(), now_ms=now_ms)
 
     def change_mode(self, mode: WireMode, cause: WireCause, *, at_ms: int) -> None:
         """Sense that the insect walks or stands still; told at once if it is news."""
@@ -225,6 +258,17 @@ class Backpack:
         """Tell state and neighbours no more by the clock, so that what is under way comes to an end."""
         self._status_at_ms = self._neighbours_at_ms = None
 
+    def _follow(self, changes: Sequence[Opened | Closed], *, now_ms: int) -> None:
+        for change in changes:
+            peer = NodeId(change.peer)
+            match change:
+                case Opened(start=start_ms, rssi_dbm=rssi_dbm):
+                    self.begin_encounter(peer, start_ms=start_ms, rssi_dbm=_whole_dbm(rssi_dbm))
+                    self._contacts[peer].last_ms = start_ms
+                case Closed(end=end_ms, mean_rssi_dbm=rssi_dbm):
+                    self._contacts[peer].rssi_dbm = _whole_dbm(rssi_dbm)
+                    self.end_encounter(peer, end_ms=end_ms, now_ms=now_ms)
+
     def _obey(self, message: Downlink, *, now_ms: int, is_broadcast: bool) -> list[Effect]:
         match message:
             case HelloRequest():
@@ -263,7 +307,12 @@ class Backpack:
 
     def _tell_what_is_due(self, now_ms: int) -> None:
         if self._hello_at_ms is not None and now_ms >= self._hello_at_ms:
-            hello = Hello(eui64=self._eui64, firmware=self._config.firmware, beacon_period_ms=0, capabilities=CAN_BE_STIMULATED)
+            hello = Hello(
+                eui64=self._eui64,
+                firmware=self._config.firmware,
+                beacon_period_ms=self._config.beacon_period_ms,
+                capabilities=CAN_BE_STIMULATED,
+            )
             self._hello_at_ms = None if self._outbox.put(hello) else now_ms + self._config.outbox.first_retry_ms
         if self._status_at_ms is not None and now_ms >= self._status_at_ms:
             self._status_at_ms = now_ms + self._config.status_period_ms
@@ -295,11 +344,13 @@ class Backpack:
             if now_ms >= contact.next_report_ms:
                 contact.next_report_ms = now_ms + self._config.provisional_ms
                 if self.n_buffered < self._config.capacity:  # where there is no room, the final report is worth more
-                    self._keep(_entry(peer, contact, end_ms=now_ms, is_ongoing=True), now_ms=now_ms)
+                    end_ms = now_ms if contact.last_ms is None else contact.last_ms
+                    self._keep(_entry(peer, contact, end_ms=end_ms, is_ongoing=True), now_ms=now_ms)
 
     def _cut_long_contacts(self, until_ms: int, *, now_ms: int) -> None:
         for peer, contact in self._contacts.items():
-            while until_ms - contact.start_ms > MAX_ENCOUNTER_MS:
+            known_ms = until_ms if contact.last_ms is None else contact.last_ms
+            while known_ms - contact.start_ms > MAX_ENCOUNTER_MS:
                 cut_ms = contact.start_ms + MAX_ENCOUNTER_MS
                 self._store(peer, contact, end_ms=cut_ms, now_ms=now_ms)
                 contact.start_ms = cut_ms
@@ -343,6 +394,10 @@ def _entry(peer: NodeId, contact: _Contact, *, end_ms: int, is_ongoing: bool) ->
     return EncounterEntry(
         peer=peer, start_ms=_tick(contact.start_ms), duration_ms=duration_ms, rssi_dbm=contact.rssi_dbm, is_ongoing=is_ongoing
     )
+
+
+def _whole_dbm(rssi_dbm: float) -> RssiDbm:
+    return RssiDbm(max(-128, min(127, round(rssi_dbm))))
 
 
 def _tick(ms: int) -> Milliseconds:

@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 
 from simulator.errors import ParameterError
+from simulator.radio_keys import RadioKeys
 
 # Beyond this, a float of seconds rounds more coarsely than insects keep away from walls.
 _MAX_TIME_S = 1e7
@@ -58,7 +59,7 @@ def _need_positive(**values: float) -> None:
             raise ParameterError(name=name, got=got, wanted="a positive finite number")
 
 
-class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class WorldConfig(RadioKeys, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which world to make: the part of the configuration that every command shares.
 
     A seed, and a scenario or an arena, must be given before a world is made; what else is not given comes from the preset.

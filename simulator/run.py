@@ -12,6 +12,7 @@ from simulator.config import RunConfig
 from simulator.events import EncounterEnded
 from simulator.log import EventLog
 from simulator.output import OutputDirectory
+from simulator.sensed_run import sense_run, sensing_config
 from simulator.setting import choose_setting
 from simulator.truth import TruthRecorder
 from simulator.world import World
@@ -34,6 +35,7 @@ def run(config: RunConfig) -> None:
     if config.out is None:
         raise ConfigurationError(["give --out DIR, where the results go"])
     setting = choose_setting(config)
+    sensing = sensing_config(config, setting) if config.sensing == "beacon" else None
     with OutputDirectory(Path(config.out), force=config.force) as output:
         began_s = time.perf_counter()
         world = World(setting.arena, motion=setting.motion, ranges=setting.ranges, ids=setting.ids, seed=setting.seed)
@@ -48,6 +50,10 @@ def run(config: RunConfig) -> None:
         recorder.record(events)
         if show is not None:
             sys.stderr.write("\n")
+        zero_s = setting.dispersion_s
+        sensed = None
+        if sensing is not None:
+            sensed = sense_run(world, config=sensing, zero_s=zero_s, true=recorder.encounters(zero_s=zero_s), radio=config.radio)
         wall_time_s = round(time.perf_counter() - began_s, 3)
         description = {
             "program": "biobot-sim run",
@@ -55,10 +61,14 @@ def run(config: RunConfig) -> None:
             **setting.describe(),
             "landmark_ids": sorted(landmarks),
             "wall_time_s": wall_time_s,
+            "sensing": {"kind": config.sensing, **({} if sensed is None else sensed.description)},
         }
-        output.commit(recorder.files(zero_s=setting.dispersion_s, run=description, position_samples=config.position_samples))
+        observed = None if sensed is None else sensed.encounters
+        files = recorder.files(zero_s=zero_s, run=description, position_samples=config.position_samples, observed=observed)
+        output.commit(({} if sensed is None else sensed.files) | files)
     n_ended = sum(isinstance(event, EncounterEnded) for event in events)
-    log.info("run.done", out=config.out, encounters=n_ended + len(world.open_encounters()), wall_time_s=wall_time_s)
+    encounters = n_ended + len(world.open_encounters()) if observed is None else len(observed)
+    log.info("run.done", out=config.out, encounters=encounters, wall_time_s=wall_time_s)
 
 
 def _show_bar(total_s: float) -> Callable[[float], None]:

@@ -6,6 +6,7 @@ import contextlib
 import sys
 from pathlib import Path
 
+from simulator import radio_flags
 from simulator.clock import WallClock
 from simulator.config_sources import load_config
 from simulator.errors import ParameterError
@@ -13,6 +14,7 @@ from simulator.line import EXAMPLES, parse_line
 from simulator.log import EventLog, set_up_logging
 from simulator.output import OutputDirectory
 from simulator.presets import find_preset
+from simulator.radio import choose_radio
 from simulator.scenarios import find_scenario
 from simulator.serve_config import ServeConfig
 from simulator.service import Service
@@ -45,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loss", type=float, metavar="P", help="probability that a radio payload is lost (default: 0)")
     parser.add_argument("--report-period-s", type=float, metavar="S", help="an encounter waits this long for company (default: 1)")
     parser.add_argument("--neighbours-period-s", type=float, metavar="S", help="how often neighbours are told (default: 5)")
+    radio_flags.add_arguments(parser)
     parser.add_argument("--boot", type=int, metavar="N", help="count of starts the backpacks tell (default: from the wall clock)")
     parser.add_argument("--out", metavar="DIR", help="directory for truth, reports and run.json; made if missing")
     parser.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")
@@ -62,6 +65,7 @@ def main(args: argparse.Namespace) -> int:
     config = load_config(ServeConfig, args)
     if args.check_config:
         find_preset(config.preset)
+        choose_radio(config, loss=config.loss)
         if config.scenario is not None:
             find_scenario(config.scenario)
         sys.stdout.write(f"{args.config or 'defaults and environment'}: the configuration is valid\n")

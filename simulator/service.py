@@ -19,7 +19,8 @@ from simulator.errors import LineError
 from simulator.events import Event
 from simulator.line import LineSpec, SerialEnd
 from simulator.log import EventLog
-from simulator.radio import RadioConfig
+from simulator.radio import choose_radio
+from simulator.sensed_run import sensing_config
 from simulator.serial_port import SerialPortEnd
 from simulator.serve_config import ServeConfig
 from simulator.setting import Setting
@@ -238,6 +239,9 @@ class Service:
                 "communication_radius": setting.ranges.communication,
                 "duration_s": self._world.now_s,
                 "loss": config.loss,
+                "sensing": config.sensing,
+                "beacon_period_s": config.beacon_period_s if config.sensing == "beacon" else None,
+                "radio": config.radio,
                 "drift_ppm": config.drift_ppm,
                 "report_period_s": config.report_period_s,
                 "status_period_s": config.status_period_s,
@@ -273,17 +277,21 @@ async def open_line(spec: LineSpec) -> SerialEnd:
 
 
 def _swarm_config(config: ServeConfig, setting: Setting, *, boot: BootId) -> SwarmConfig:
+    sensing = sensing_config(config, setting, loss=config.loss) if config.sensing == "beacon" else None
     return SwarmConfig(
         seed=setting.seed,
         boot=boot,
         drift_ppm=config.drift_ppm,
+        sensing=sensing,
         backpack=BackpackConfig(
             report_period_ms=round(config.report_period_s * 1000),
             status_period_ms=round(config.status_period_s * 1000),
             neighbours_period_ms=round(config.neighbours_period_s * 1000),
             provisional_ms=round(config.provisional_s * 1000),
+            beacon_period_ms=0 if sensing is None else round(config.beacon_period_s * 1000),
+            proximity=None if sensing is None else sensing.proximity(per_s=1000),
         ),
-        radio=RadioConfig(loss=config.loss),
+        radio=choose_radio(config, loss=config.loss),
     )
 
 

@@ -20,8 +20,10 @@ from simulator.coordinator import Coordinator
 from simulator.errors import ParameterError
 from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.legs import Floats
+from simulator.live_sensing import LiveSensing
 from simulator.radio import Radio, RadioConfig, lqi
 from simulator.reports import ReportLog
+from simulator.sensing import SensingConfig
 from simulator.stimulator import Actuation
 from simulator.world import World
 
@@ -51,6 +53,8 @@ class SwarmConfig:
         Clocks run too fast or too slow by up to this, drawn uniformly for each; crystals differ by about 10 ppm [Mar04].
     switched_on_s
         Each backpack was switched on up to this long before the run, drawn uniformly [s].
+    sensing
+        How encounters are formed from beacons; None: they are exact.
 
     References
     ----------
@@ -63,6 +67,7 @@ class SwarmConfig:
     switched_on_s: float = 60.0
     backpack: BackpackConfig = field(default_factory=BackpackConfig)
     radio: RadioConfig = field(default_factory=RadioConfig)
+    sensing: SensingConfig | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +106,9 @@ class Swarm:
         self._clocks = {node: _draw_clock(node, config) for node in self._nodes}
         self._backpacks = {node: self._make_backpack(node, config) for node in self._nodes}
         self._air = Air(self._nodes, radio=self._radio, seed=config.seed)
+        self._offered: dict[int, tuple[NodeId, RadioReceived]] = {}
+        self._shares_air = config.radio.csma
+        self._sensed_ns = 0
         self._dues: list[tuple[int, NodeId]] = []
         self._due_ns: dict[NodeId, int | None] = {}
         self._world_ns = 0
@@ -110,6 +118,9 @@ class Swarm:
         self._places: Floats = world.positions()
         low_x, low_y, high_x, high_y = world.arena.polygon.bounds
         self._centre = ((low_x + high_x) / 2, (low_y + high_y) / 2)
+        self._sensing = None if config.sensing is None else LiveSensing(
+            self._nodes, clocks=self._clocks, arena=world.arena, config=config.sensing, places=self._places, coordinator_place=self._centre
+        )  # fmt: skip
         for node in self._nodes:
             self._plan(node)
         self.coordinator.start()
@@ -151,6 +162,8 @@ class Swarm:
             self._advance_world(now_ns)
             if self._world_ns >= self._end_ns:
                 self._end_world(now_ns)
+        if self.has_ended and self._offered:
+            self._sense(now_ns, now_ns=now_ns)
         self._deliver(now_ns)
         while self._dues and self._dues[0][0] <= now_ns:
             due_ns, node = heapq.heappop(self._dues)
@@ -166,6 +179,8 @@ class Swarm:
         dues = [] if self.has_ended else [min(self._world_ns + _TICK_NS, self._end_ns)]
         if self._dues:
             dues.append(self._dues[0][0])
+        if self.has_ended and self._offered:
+            dues.append(self._sensed_ns + _TICK_NS)
         dues += [due for due in (self._air.next_arrival_ns(), self.coordinator.next_deadline_ns()) if due is not None]
         return min(dues, default=_NEVER_NS)
 
@@ -177,9 +192,12 @@ class Swarm:
 
     def _end_world(self, now_ns: int) -> None:
         self.has_ended = True
-        for event in self._world.open_encounters():
+        if self._sensing is not None:
+            self._sensing.silence()
+        for event in self._world.open_encounters() if self._sensing is None else ():
             self._part(event.id1, event.id2, end_ns=self._world_ns, now_ns=now_ns)
         for node, backpack in self._backpacks.items():
+            backpack.stop_sensing(now_ms=self._clocks[node].read_ms(now_ns))
             backpack.quieten()
             self._plan(node)
 
@@ -189,6 +207,8 @@ class Swarm:
         self._observe(events)
         for event in events:
             match event:
+                case EncounterBegan() | EncounterEnded() if self._sensing is not None:
+                    pass  # the backpacks have their beacons to go by
                 case EncounterBegan(t_s=t_s, id1=id1, id2=id2):
                     self._meet(id1, id2, start_ns=round(t_s * NS_PER_S))
                 case EncounterEnded(t_end_s=t_end_s, id1=id1, id2=id2):
@@ -198,6 +218,29 @@ class Swarm:
                     at_ms = self._clocks[node].read_ms(round(t_s * NS_PER_S))
                     self._backpacks[node].change_mode(_WIRE_MODE[mode], _WIRE_CAUSE[cause], at_ms=at_ms)
                     self._plan(node)
+        self._sense(self._world_ns, now_ns=now_ns)
+
+    def _sense(self, until_ns: int, *, now_ns: int) -> None:
+        """Let beacons, and the reports that share their channel, go on to ``until_ns``."""
+        if self._sensing is None:
+            return
+        self._sensed_ns = until_ns
+        heard, carried = self._sensing.advance(until_ns, places=self._current_places())
+        for one in carried:
+            node, received = self._offered.pop(one.ticket)
+            if one.is_carried:
+                self._air.send_up(received, node=node, now_ns=one.at_ns)
+        for beacon in heard:
+            clock = self._clocks[beacon.node]
+            self._backpacks[beacon.node].hear_beacon(
+                beacon.peer, at_ms=clock.read_ms(beacon.at_ns), rssi_dbm=beacon.rssi_dbm, now_ms=clock.read_ms(now_ns)
+            )
+        for node, backpack in self._backpacks.items():
+            clock = self._clocks[node]
+            if backpack.sense_until(clock.read_ms(until_ns), now_ms=clock.read_ms(now_ns)):
+                self._plan(node)
+        for node in {beacon.node for beacon in heard}:
+            self._plan(node)
 
     def _meet(self, id1: int, id2: int, *, start_ns: int) -> None:
         x1, y1 = self._place(NodeId(id1))
@@ -257,11 +300,18 @@ class Swarm:
         x, y = self._place(node)
         rssi_dbm = self._radio.rssi_dbm(math.hypot(x - self._centre[0], y - self._centre[1]))
         received = RadioReceived(source=self._air.address_of(node), rssi_dbm=rssi_dbm, lqi=lqi(rssi_dbm), payload=sent.payload)
-        self._air.send_up(received, node=node, now_ns=now_ns)
+        if self._sensing is None or not self._shares_air:
+            self._air.send_up(received, node=node, now_ns=now_ns)
+        else:
+            ticket = self._sensing.offer(node, n_octets=len(sent.payload), now_ns=now_ns)
+            self._offered[ticket] = (node, received)
 
     def _launch_requests(self, now_ns: int) -> None:
         while self.coordinator.requests:
-            self._air.send_down(self.coordinator.requests.popleft(), now_ns=now_ns)
+            request = self.coordinator.requests.popleft()
+            if self._sensing is not None and self._shares_air:
+                self._sensing.occupy(n_octets=len(request.payload), now_ns=now_ns)
+            self._air.send_down(request, now_ns=now_ns)
 
     def _plan(self, node: NodeId) -> None:
         due_ms = self._backpacks[node].next_due_ms()

@@ -5,6 +5,7 @@ encounters begin and end at the roots of quadratics. Nothing here reads a clock.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,7 +15,7 @@ from simulator.config import MotionParameters, Ranges
 from simulator.encounters import ContactFinder, Contacts
 from simulator.errors import ParameterError, TimeError, UnknownBiobotError
 from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
-from simulator.legs import Floats, Indices, LegLog
+from simulator.legs import Floats, Indices, LegLog, Legs
 from simulator.walk import Walk
 
 
@@ -216,6 +217,13 @@ class World:
             raise TimeError(got_s=float(wrong), wanted=f"a time from 0 to the present, {self._now_s!r} s")
         rows = np.array([self._find(one) for one in biobot_ids], dtype=np.int64)
         return np.column_stack(self._log.take(self._log.locate(rows, times)).at(times))
+
+    def legs(self) -> Legs:
+        """Return every leg so far, by biobot and start; those that go on are cut at the present."""
+        legs = self._log.take(np.arange(len(self._log)))
+        order = np.lexsort((np.arange(len(self._log)), legs.t_start_s, legs.biobot))
+        legs = self._log.take(order)
+        return replace(legs, t_end_s=np.minimum(legs.t_end_s, self._now_s))
 
     def neighbours(self, biobot_id: int) -> set[int]:
         """Return the ids within the communication radius now, without its own; walls do not hinder radio."""
