@@ -36,8 +36,9 @@ from firmware_protocol.messages import (
     WireCause,
     WireMode,
 )
-from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
+from firmware_protocol.units import BootId, NodeId, RssiDbm
 from simulator import chance
+from simulator.contacts import Contact, tick, whole_dbm
 from simulator.errors import ParameterError
 from simulator.outbox import Outbox, OutboxConfig
 from simulator.proximity import Closed, Opened, ProximityConfig, ProximityLogger
@@ -51,7 +52,6 @@ MAX_NODE = 0xFFFE
 _SPREAD_STREAM = 202
 _MAX_NEIGHBOURS = 250  # the table's size in this model: the strongest are told
 _MODULUS = 1 << 16
-_TICKS = 1 << 32
 
 # A CC2530 that listens all the time draws 24 mA (its datasheet), so a 50 mAh cell lasts two hours; the voltage is taken to
 # fall evenly from 3.0 V to the 2.0 V at which the chip stops.
@@ -126,15 +126,6 @@ Effect: TypeAlias = Transmission | Acknowledged | Actuation
 """What a call brings about outside the backpack."""
 
 
-@dataclass(slots=True, kw_only=True)
-class _Contact:
-    start_ms: int
-    rssi_dbm: RssiDbm
-    next_report_ms: int
-    last_ms: int | None = None
-    """When the last beacon came [ms]; None where encounters are sensed continuously."""
-
-
 class Backpack:
     """See the module.
 
@@ -169,7 +160,7 @@ class Backpack:
         self._outbox = Outbox(biobot=node, seed=seed, config=config.outbox)
         self._stimulator = Stimulator()
         self._logger = None if config.proximity is None else ProximityLogger(config=config.proximity)
-        self._contacts: dict[NodeId, _Contact] = {}
+        self._contacts: dict[NodeId, Contact] = {}
         self._buffer: deque[EncounterEntry] = deque()
         self._n_unacknowledged = 0
         self._flush_at_ms: int | None = None
@@ -191,7 +182,7 @@ class Backpack:
 
     def begin_encounter(self, peer: NodeId, *, start_ms: int, rssi_dbm: RssiDbm) -> None:
         """Sense that ``peer`` came within detection range."""
-        self._contacts[peer] = _Contact(start_ms=start_ms, rssi_dbm=rssi_dbm, next_report_ms=start_ms + self._config.provisional_ms)
+        self._contacts[peer] = Contact(start_ms=start_ms, rssi_dbm=rssi_dbm, next_report_ms=start_ms + self._config.provisional_ms)
 
     def end_encounter(self, peer: NodeId, *, end_ms: int, now_ms: int) -> None:
         """Sense that ``peer`` went; nothing happens where no encounter with it had begun."""
@@ -263,10 +254,10 @@ class Backpack:
             peer = NodeId(change.peer)
             match change:
                 case Opened(start=start_ms, rssi_dbm=rssi_dbm):
-                    self.begin_encounter(peer, start_ms=start_ms, rssi_dbm=_whole_dbm(rssi_dbm))
+                    self.begin_encounter(peer, start_ms=start_ms, rssi_dbm=whole_dbm(rssi_dbm))
                     self._contacts[peer].last_ms = start_ms
                 case Closed(end=end_ms, mean_rssi_dbm=rssi_dbm):
-                    self._contacts[peer].rssi_dbm = _whole_dbm(rssi_dbm)
+                    self._contacts[peer].rssi_dbm = whole_dbm(rssi_dbm)
                     self.end_encounter(peer, end_ms=end_ms, now_ms=now_ms)
 
     def _obey(self, message: Downlink, *, now_ms: int, is_broadcast: bool) -> list[Effect]:
@@ -279,7 +270,7 @@ class Backpack:
             case Acknowledge():
                 return self._acknowledge(message, now_ms=now_ms) if message.boot == self.boot else []
             case TimeSyncRequest():
-                reply = TimeSyncReply(token=message.token, received_ms=_tick(now_ms))
+                reply = TimeSyncReply(token=message.token, received_ms=tick(now_ms))
                 return [Transmission(payload=self._encode(0, reply, now_ms=now_ms), sequence=0, message=reply, is_first=True)]
             case Stimulate():
                 return list(self._settle(self._stimulator.submit(message, now_ms=now_ms), now_ms=now_ms))
@@ -301,7 +292,7 @@ class Backpack:
             if outcome.command is not None:
                 # A full outbox costs a reply, never the execution: the base station then reports the outcome as unknown.
                 self._outbox.put(
-                    StimulateReply(command=outcome.command, result=outcome.result, executed_ms=_tick(outcome.decided_ms), mode=self.mode)
+                    StimulateReply(command=outcome.command, result=outcome.result, executed_ms=tick(outcome.decided_ms), mode=self.mode)
                 )
         return actuations
 
@@ -328,7 +319,7 @@ class Backpack:
         battery_mv = max(_EMPTY_MV, _FULL_MV - (_FULL_MV - _EMPTY_MV) * age_ms // _LIFE_MS)
         self._outbox.put(
             Status(
-                mode=self.mode, cause=self.cause, mode_since_ms=_tick(self._since_ms), battery_mv=battery_mv,
+                mode=self.mode, cause=self.cause, mode_since_ms=tick(self._since_ms), battery_mv=battery_mv,
                 buffered=min(self.n_buffered, _MODULUS - 1), dropped=self.n_dropped % _MODULUS,
             )
         )  # fmt: skip
@@ -344,22 +335,20 @@ class Backpack:
             if now_ms >= contact.next_report_ms:
                 contact.next_report_ms = now_ms + self._config.provisional_ms
                 if self.n_buffered < self._config.capacity:  # where there is no room, the final report is worth more
-                    end_ms = now_ms if contact.last_ms is None else contact.last_ms
-                    self._keep(_entry(peer, contact, end_ms=end_ms, is_ongoing=True), now_ms=now_ms)
+                    self._keep(contact.entry(peer, end_ms=contact.known_until_ms(now_ms), is_ongoing=True), now_ms=now_ms)
 
     def _cut_long_contacts(self, until_ms: int, *, now_ms: int) -> None:
         for peer, contact in self._contacts.items():
-            known_ms = until_ms if contact.last_ms is None else contact.last_ms
-            while known_ms - contact.start_ms > MAX_ENCOUNTER_MS:
+            while contact.known_until_ms(until_ms) - contact.start_ms > MAX_ENCOUNTER_MS:
                 cut_ms = contact.start_ms + MAX_ENCOUNTER_MS
                 self._store(peer, contact, end_ms=cut_ms, now_ms=now_ms)
                 contact.start_ms = cut_ms
 
-    def _store(self, peer: NodeId, contact: _Contact, *, end_ms: int, now_ms: int) -> None:
+    def _store(self, peer: NodeId, contact: Contact, *, end_ms: int, now_ms: int) -> None:
         if self.n_buffered >= self._config.capacity:
             self.n_dropped += 1
         else:
-            self._keep(_entry(peer, contact, end_ms=end_ms, is_ongoing=False), now_ms=now_ms)
+            self._keep(contact.entry(peer, end_ms=end_ms, is_ongoing=False), now_ms=now_ms)
 
     def _keep(self, entry: EncounterEntry, *, now_ms: int) -> None:
         self._buffer.append(entry)
@@ -386,19 +375,4 @@ class Backpack:
         )
 
     def _encode(self, sequence: int, message: Uplink, *, now_ms: int) -> bytes:
-        return encode_uplink(UplinkHeader(node=self.node, boot=self.boot, sequence=sequence, sent_ms=_tick(now_ms)), message)
-
-
-def _entry(peer: NodeId, contact: _Contact, *, end_ms: int, is_ongoing: bool) -> EncounterEntry:
-    duration_ms = Milliseconds(min(end_ms - contact.start_ms, MAX_ENCOUNTER_MS))
-    return EncounterEntry(
-        peer=peer, start_ms=_tick(contact.start_ms), duration_ms=duration_ms, rssi_dbm=contact.rssi_dbm, is_ongoing=is_ongoing
-    )
-
-
-def _whole_dbm(rssi_dbm: float) -> RssiDbm:
-    return RssiDbm(max(-128, min(127, round(rssi_dbm))))
-
-
-def _tick(ms: int) -> Milliseconds:
-    return Milliseconds(ms % _TICKS)
+        return encode_uplink(UplinkHeader(node=self.node, boot=self.boot, sequence=sequence, sent_ms=tick(now_ms)), message)

@@ -11,13 +11,13 @@ class Paths:
     Parameters
     ----------
     legs
-        Every leg, those of each biobot in order of time and without gaps, in any order of biobots.
+        Every leg, in any order; those of each biobot leave no gap. Of legs that begin together all but one have no length.
     """
 
     __slots__ = ("_bounds", "_legs", "_n")
 
     def __init__(self, legs: Legs, *, n: int) -> None:
-        order = np.lexsort((np.arange(legs.biobot.size), legs.t_start_s, legs.biobot))
+        order = np.lexsort((legs.t_end_s, legs.t_start_s, legs.biobot))
         self._legs = Legs(**{name: getattr(legs, name)[order] for name in Legs.__dataclass_fields__})
         self._bounds = np.searchsorted(self._legs.biobot, np.arange(n + 1)).tolist()
         self._n = n

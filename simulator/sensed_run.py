@@ -3,13 +3,13 @@
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from simulator.fidelity import Encounter, compare
 from simulator.paths import Paths
 from simulator.radio import choose_radio
 from simulator.radio_keys import RadioKeys
-from simulator.sensing import Observation, Sensed, SensingConfig, sense
+from simulator.sensing import AirReport, Observation, SensingConfig, sense
 from simulator.setting import Setting
 from simulator.world import World
 
@@ -72,16 +72,22 @@ def sense_run(world: World, *, config: SensingConfig, zero_s: float, true: Seque
     radio
         Name of the radio's preset.
     """
+    zero_ns = round(zero_s * _NS_PER_S)
     sensed = sense(Paths(world.legs(), n=len(world.ids)), ids=world.ids, arena=world.arena, until_s=world.now_s, config=config)
     encounters = tuple((max(start, zero_s), end, id1, id2) for start, end, id1, id2 in sensed.encounters if end > zero_s)
+    observations = [
+        replace(one, start_ns=max(one.start_ns, zero_ns) - zero_ns, end_ns=one.end_ns - zero_ns)
+        for one in sensed.observations
+        if one.end_ns > zero_ns
+    ]
     return SensedRun(
         encounters=encounters,
-        files={"observations.csv": _to_csv(sensed.observations, zero_s=zero_s)},
-        description=_describe(sensed, config, radio=radio) | {"fidelity": compare(encounters, true)},
+        files={"observations.csv": _to_csv(observations)},
+        description=_describe(sensed.air, config, radio=radio) | {"observations": len(observations), "fidelity": compare(encounters, true)},
     )
 
 
-def _describe(sensed: Sensed, config: SensingConfig, *, radio: str) -> dict[str, object]:
+def _describe(air: AirReport, config: SensingConfig, *, radio: str) -> dict[str, object]:
     proximity = config.proximity(per_s=_NS_PER_S)
     parameters = {name: None if value == float("-inf") else value for name, value in asdict(config.radio).items()}
     return {
@@ -94,22 +100,19 @@ def _describe(sensed: Sensed, config: SensingConfig, *, radio: str) -> dict[str,
         "unit_of_length_counts_as": "1 m",
         "radio": {"preset": radio, **parameters},
         "air": {
-            "beacons_sent": sensed.air.sent,
-            "beacons_not_sent": sensed.air.not_sent,
-            "airtime_load": round(sensed.air.load, 6),
-            "at_neighbours": sensed.air.fates,
+            "beacons_sent": air.sent,
+            "beacons_not_sent": air.not_sent,
+            "airtime_load": round(air.load, 6),
+            "at_neighbours": air.fates,
         },
-        "observations": len(sensed.observations),
     }
 
 
-def _to_csv(observations: Sequence[Observation], *, zero_s: float) -> bytes:
-    zero_ns = round(zero_s * _NS_PER_S)
+def _to_csv(observations: Sequence[Observation]) -> bytes:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(HEADER)
     for one in observations:
-        if one.end_ns > zero_ns:
-            times = (f"{(max(one.start_ns, zero_ns) - zero_ns) / 1e9:.9f}", f"{(one.end_ns - zero_ns) / 1e9:.9f}")
-            writer.writerow((one.node, one.peer, *times, f"{one.mean_rssi_dbm:.1f}", one.n_beacons))
+        times = (f"{one.start_ns / 1e9:.9f}", f"{one.end_ns / 1e9:.9f}")
+        writer.writerow((one.node, one.peer, *times, f"{one.mean_rssi_dbm:.1f}", one.n_beacons))
     return text.getvalue().encode()

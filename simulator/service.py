@@ -256,6 +256,7 @@ class Service:
             "reports_unacknowledged": self._swarm.reports.n_unacknowledged,
             "encounters_dropped_by_backpacks": self._swarm.n_dropped,
             "line_faults": self._line_faults(),
+            "air": self._swarm.air_counts,
         }
 
 

@@ -140,6 +140,13 @@ class Swarm:
         """Encounters that the base station does not have yet."""
         return sum(backpack.n_buffered for backpack in self._backpacks.values())
 
+    @property
+    def air_counts(self) -> dict[str, int] | None:
+        """Packets sent and not sent on the shared channel, and their time on it [ns]; None where encounters are sensed without beacons."""
+        if self._sensing is None:
+            return None
+        return {"sent": self._sensing.n_sent, "not_sent": self._sensing.n_not_sent, "airtime_ns": self._sensing.airtime_ns}
+
     def lag_ns(self, now_ns: int) -> int:
         """Return how far the world is behind [ns]."""
         return max(0, min(now_ns, self._end_ns) - self._world_ns)
