@@ -15,7 +15,7 @@ from simulator.arena import Arena
 from simulator.beacons import BEACON_OCTETS, BeaconSchedule
 from simulator.bursts import BurstLoss
 from simulator.channel import Channel
-from simulator.clock import DriftingClock
+from simulator.clock import BackpackClock
 from simulator.legs import Floats
 from simulator.medium import Medium, Sending
 from simulator.reception import Fate, Packets, Receiver
@@ -64,7 +64,7 @@ class LiveSensing:
     """
 
     def __init__(
-        self, nodes: Sequence[NodeId], *, clocks: Mapping[NodeId, DriftingClock], arena: Arena, config: SensingConfig, places: Floats,
+        self, nodes: Sequence[NodeId], *, clocks: Mapping[NodeId, BackpackClock], arena: Arena, config: SensingConfig, places: Floats,
         coordinator_place: tuple[float, float],
     ) -> None:  # fmt: skip
         ids = [*nodes, COORDINATOR]
@@ -80,6 +80,7 @@ class LiveSensing:
         self._medium = Medium(seed=config.seed, hears=self._hears if radio.hidden_nodes else None, is_shared=radio.csma)
         self._schedule = BeaconSchedule(seed=config.seed, period_ns=round(config.period_s * _NS_PER_S))
         self._dues: list[tuple[int, int, int]] = []
+        self._is_off: set[NodeId] = set()
         self._beacons: set[int] = set()
         self._reports: set[int] = set()
         self._recent: list[Sending] = []
@@ -90,7 +91,7 @@ class LiveSensing:
         self.n_not_sent = 0
         self.airtime_ns = 0
         for node in nodes:
-            self._plan_beacon(node, self._schedule.number_at(clocks[node].start_ms))
+            self._plan_beacon(node, self._schedule.number_at(clocks[node].read_ms(0)))
 
     def offer(self, node: NodeId, *, n_octets: int, now_ns: int) -> int:
         """Let a report of ``n_octets`` of payload try for the channel; return its ticket."""
@@ -105,6 +106,12 @@ class LiveSensing:
     def silence(self) -> None:
         """Plan no more beacons."""
         self._dues.clear()
+
+    def switch_off(self, node: NodeId) -> None:
+        """Let a backpack send and hear no more beacons."""
+        self._is_off.add(node)
+        self._dues = [due for due in self._dues if due[1] != node]
+        heapq.heapify(self._dues)
 
     def advance(self, until_ns: int, *, places: Floats) -> tuple[list[Heard], list[Carried]]:
         """Move to ``until_ns``, where everybody is then at ``places`` (shape (n, 2) [m]); return what was heard, in order of time."""
@@ -158,7 +165,7 @@ class LiveSensing:
             one = on_air[subject[k]]
             if self._is_report(one):
                 carried.append(Carried(ticket=one.ticket, at_ns=one.end_ns, is_carried=what not in {Fate.DEAF, Fate.COLLISION}))
-            elif what == Fate.HEARD and strength >= self._exit_dbm:
+            elif self._nodes[to] not in self._is_off and what == Fate.HEARD and strength >= self._exit_dbm:
                 heard.append(Heard(node=self._nodes[to], peer=NodeId(one.sender), at_ns=one.start_ns, rssi_dbm=strength))
         return heard, carried
 

@@ -12,6 +12,9 @@ _Duration = Annotated[float, msgspec.Meta(ge=0, le=86_400)]
 class RadioKeys(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How radios are and how encounters are sensed. A key that is not given takes the value of the radio's preset.
 
+    The radio's keys speak of beacons; with ``csma`` the reports of backpacks that send beacons share their channel. Where sensing is
+    ``ideal``, only ``tx_power_dbm``, ``loss_1m_db`` and ``exponent`` matter, for the strengths that are told.
+
     Attributes
     ----------
     sensing

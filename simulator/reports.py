@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.messages import EncounterBatch
 from firmware_protocol.units import BootId, NodeId
-from simulator.clock import DriftingClock
+from simulator.clock import BackpackClock
 
 HEADER = ("node", "boot", "sequence", "peer", "t_start_s", "t_end_s", "is_ongoing", "is_acknowledged")
 
@@ -29,7 +29,7 @@ class ReportLog:
         """Reports that the base station has not confirmed."""
         return len(self._rows) - len(self._acknowledged)
 
-    def add(self, batch: EncounterBatch, *, node: NodeId, boot: BootId, sequence: int, clock: DriftingClock) -> None:
+    def add(self, batch: EncounterBatch, *, node: NodeId, boot: BootId, sequence: int, clock: BackpackClock) -> None:
         """Note a batch that goes on the air for the first time."""
         first = len(self._rows)
         for entry in batch.entries:

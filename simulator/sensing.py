@@ -4,7 +4,7 @@ The world's unit of length counts as a metre. Times are the world's: as if every
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -121,13 +121,19 @@ class Sensed:
     air: AirReport
 
 
-def sense(paths: Paths, *, ids: Sequence[int], arena: Arena, until_s: float, config: SensingConfig) -> Sensed:
+def sense(
+    paths: Paths, *, ids: Sequence[int], arena: Arena, until_s: float, config: SensingConfig, off_s: Mapping[int, float] | None = None
+) -> Sensed:
     """Let everybody send beacons from 0 to ``until_s`` [s] and log those of the others.
 
     Parameters
     ----------
     ids
         Identities, ascending, below 2^32: those of the rows of ``paths``.
+    arena
+        Whose walls attenuate, for the whole run.
+    off_s
+        When backpacks were switched off or lost [s]: from then on they neither send nor hear. By identity; None: never.
 
     Raises
     ------
@@ -136,7 +142,9 @@ def sense(paths: Paths, *, ids: Sequence[int], arena: Arena, until_s: float, con
     """
     channel = Channel(config.radio, seed=config.seed, ids=ids, arena=arena)
     proximity = config.proximity(per_s=_NS_PER_S)
+    off_ns = np.array([round((off_s or {}).get(one, until_s) * _NS_PER_S) for one in ids], dtype=np.int64)
     due_ns, sender = _requests(config, ids=ids, until_s=until_s)
+    due_ns, sender = due_ns[due_ns < off_ns[sender]], sender[due_ns < off_ns[sender]]
     if due_ns.size * len(ids) > _MAX_LOOKS:
         most = _MAX_LOOKS // len(ids)
         raise ParameterError(
@@ -158,7 +166,7 @@ def sense(paths: Paths, *, ids: Sequence[int], arena: Arena, until_s: float, con
         subject = np.arange(first, min(first + block, packets.sender.size))
         place = paths.places(packets.start_ns[subject] / _NS_PER_S)
         distance = _distances(place, packets.sender[subject])
-        packet, listener = np.nonzero(distance <= reach)
+        packet, listener = np.nonzero((distance <= reach) & (packets.start_ns[subject, None] < off_ns))
         fate, rssi_dbm = receiver.decide(packets, subject=subject, place=place, packet=packet, receiver=listener)
         counts += np.bincount(fate[distance[packet, listener] <= config.communication], minlength=len(Fate))
         kept = (fate == Fate.HEARD) & (rssi_dbm >= proximity.exit_dbm)

@@ -33,6 +33,8 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
         An encounter longer than this is reported while it goes on [s].
     drift_ppm
         Backpack clocks run wrong by up to this [parts per million].
+    wander_ppm
+        Their rates wander by up to this in the course of time, as with temperature [parts per million].
     boot
         The count of starts that the backpacks tell. Without it, it is taken from the wall clock, so that a gateway that has
         heard an earlier run does not take this one for a repetition.
@@ -55,6 +57,7 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
     neighbours_period_s: _Period = 5.0
     provisional_s: _Period = 30.0
     drift_ppm: Annotated[float, msgspec.Meta(ge=0, le=1_000)] = 20.0
+    wander_ppm: Annotated[float, msgspec.Meta(ge=0, le=1_000)] = 0.0
     boot: Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)] | None = None
     out: str | None = None
     force: bool = False

@@ -283,6 +283,7 @@ def _swarm_config(config: ServeConfig, setting: Setting, *, boot: BootId) -> Swa
         seed=setting.seed,
         boot=boot,
         drift_ppm=config.drift_ppm,
+        wander_ppm=config.wander_ppm,
         sensing=sensing,
         backpack=BackpackConfig(
             report_period_ms=round(config.report_period_s * 1000),

@@ -15,7 +15,7 @@ from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId
 from simulator import chance
 from simulator.air import Air, DownlinkArrival, SendingDone, UplinkArrival
 from simulator.backpack import MAX_NODE, Acknowledged, Backpack, BackpackConfig, Effect, Transmission
-from simulator.clock import DriftingClock
+from simulator.clock import BackpackClock, DriftingClock
 from simulator.coordinator import Coordinator
 from simulator.errors import ParameterError
 from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
@@ -25,6 +25,7 @@ from simulator.radio import Radio, RadioConfig, lqi
 from simulator.reports import ReportLog
 from simulator.sensing import SensingConfig
 from simulator.stimulator import Actuation
+from simulator.wandering_clock import WanderingClock
 from simulator.world import World
 
 _CLOCK_STREAM = 220
@@ -51,6 +52,8 @@ class SwarmConfig:
         For all draws; the count of starts that every backpack has reached.
     drift_ppm
         Clocks run too fast or too slow by up to this, drawn uniformly for each; crystals differ by about 10 ppm [Mar04].
+    wander_ppm
+        Their rates wander from that by up to this, in steps of a minute.
     switched_on_s
         Each backpack was switched on up to this long before the run, drawn uniformly [s].
     sensing
@@ -64,6 +67,7 @@ class SwarmConfig:
     seed: int
     boot: BootId
     drift_ppm: float = 20.0
+    wander_ppm: float = 0.0
     switched_on_s: float = 60.0
     backpack: BackpackConfig = field(default_factory=BackpackConfig)
     radio: RadioConfig = field(default_factory=RadioConfig)
@@ -351,7 +355,11 @@ class Swarm:
         ]
 
 
-def _draw_clock(node: NodeId, config: SwarmConfig) -> DriftingClock:
+def _draw_clock(node: NodeId, config: SwarmConfig) -> BackpackClock:
     since_boot = chance.uniform(seed=config.seed, biobot=node, stream=_CLOCK_STREAM, index=0)
     drift = 2 * chance.uniform(seed=config.seed, biobot=node, stream=_DRIFT_STREAM, index=0) - 1
-    return DriftingClock(start_ms=int(since_boot * config.switched_on_s * 1000), drift_ppb=round(drift * config.drift_ppm * 1000))
+    start_ms, drift_ppb = int(since_boot * config.switched_on_s * 1000), round(drift * config.drift_ppm * 1000)
+    if not config.wander_ppm:
+        return DriftingClock(start_ms=start_ms, drift_ppb=drift_ppb)
+    wander_ppb = round(config.wander_ppm * 1000)
+    return WanderingClock(start_ms=start_ms, drift_ppb=drift_ppb, wander_ppb=wander_ppb, seed=config.seed, node=node)

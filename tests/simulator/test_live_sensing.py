@@ -3,14 +3,17 @@
 import itertools
 from collections import defaultdict
 
+import numpy as np
 import pytest
 
 from firmware_protocol.messages import EncounterBatch, EncounterEntry, Hello
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId, RssiDbm
 from simulator.backpack import Backpack, BackpackConfig, Transmission
+from simulator.clock import DriftingClock
 from simulator.config import MotionParameters, Ranges
 from simulator.errors import ParameterError
 from simulator.fidelity import compare
+from simulator.live_sensing import LiveSensing
 from simulator.paths import Paths
 from simulator.proximity import ProximityConfig, unite
 from simulator.radio import RadioConfig
@@ -39,7 +42,7 @@ class Site:
         backpack = BackpackConfig(
             beacon_period_ms=round(1000 * PERIOD_S), proximity=self.sensing.proximity(per_s=1000), provisional_ms=5_000
         )
-        config = SwarmConfig(seed=seed, boot=BootId(boot), radio=self.radio, sensing=self.sensing, backpack=backpack)
+        config = SwarmConfig(seed=seed, boot=BootId(boot), radio=self.radio, sensing=self.sensing, backpack=backpack, wander_ppm=50.0)
         self.swarm = Swarm(self.world, config=config, observe=self.recorder.record)
         self.base = BaseStation()
         self.now_ns = 0
@@ -145,6 +148,20 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
         site.run(5.0)
     assert first.sent == second.sent
     assert first.sent
+
+
+def test_a_backpack_that_is_switched_off_neither_sends_nor_hears() -> None:
+    clocks = {NodeId(one): DriftingClock(start_ms=0, drift_ppb=0) for one in (1, 2, 3)}
+    places = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
+    live = LiveSensing(
+        list(clocks), clocks=clocks, arena=square(), config=SensingConfig(seed=1, detection=1.0, communication=8.0), places=places,
+        coordinator_place=(0.0, 0.0),
+    )  # fmt: skip
+    before, _ = live.advance(2 * NS_PER_S, places=places)
+    live.switch_off(NodeId(3))
+    after, _ = live.advance(5 * NS_PER_S, places=places)
+    assert {(one.node, one.peer) for one in before} == {(a, b) for a in (1, 2, 3) for b in (1, 2, 3) if a != b}
+    assert {(one.node, one.peer) for one in after} == {(1, 2), (2, 1)}
 
 
 def test_a_backpack_without_a_logger_takes_no_beacons() -> None:

@@ -140,6 +140,17 @@ def test_hidden_nodes_collide_where_those_that_hear_each_other_wait(walked: Walk
     assert hidden["collision"] + hidden["deaf"] > 3 * (open_air["collision"] + open_air["deaf"])
 
 
+def test_a_backpack_that_is_switched_off_neither_sends_nor_hears(walked: Walked) -> None:
+    config = SensingConfig(seed=1, detection=1.0, communication=8.0)
+    off = {one: 20.0 for one in walked.world.ids if one > 20}
+    sensed = sense(walked.paths, ids=walked.world.ids, arena=walked.world.arena, until_s=SECONDS, config=config, off_s=off)
+    assert max(end_s for _, end_s, _, id2 in sensed.encounters if id2 > 20) < 20
+    assert max(one.end_ns for one in sensed.observations if one.node > 20) < 20e9
+    whole = walked.sense()
+    both_on = [one for one in whole.observations if max(one.node, one.peer) <= 20]
+    assert [one for one in sensed.observations if max(one.node, one.peer) <= 20] == both_on
+
+
 def test_thresholds_are_the_median_at_the_radius_and_a_little_beyond() -> None:
     radio = RadioConfig()
     enter, leave = thresholds(radio, detection=0.5, enter_dbm=None, exit_dbm=None)
@@ -200,6 +211,10 @@ def test_fidelity_counts_time_and_encounters_of_the_pair_alone() -> None:
         "observed_encounters": 3,
         "detected_share": round(1 / 3, 6),
         "false_share": round(1 / 3, 6),
+        "matched": 0,
+        "mean_duration_error_s": None,
     }
+    single = compare([(1.0, 3.0, 1, 2), (21.0, 21.0, 1, 2)], true)
+    assert (single["matched"], single["mean_duration_error_s"]) == (2, -5.0)
     assert compare([], [])["sensitivity_in_time"] is None
     assert compare(true, true)["precision_in_time"] == 1.0
