@@ -14,6 +14,7 @@ from firmware_protocol.units import NodeId
 from simulator.arena import Arena
 from simulator.beacons import BEACON_OCTETS, BeaconSchedule
 from simulator.bursts import BurstLoss
+from simulator.carrier_sense import CarrierSense
 from simulator.channel import Channel
 from simulator.clock import BackpackClock
 from simulator.legs import Floats
@@ -77,7 +78,8 @@ class LiveSensing:
         radio = config.radio
         bursts = BurstLoss(seed=config.seed, good_s=radio.burst_good_s, bad_s=radio.burst_bad_s) if radio.burst_bad_s else None
         self._receiver = Receiver(seed=config.seed, channel=self._channel, n_octets=BEACON_OCTETS, bursts=bursts)
-        self._medium = Medium(seed=config.seed, hears=self._hears if radio.hidden_nodes else None, is_shared=radio.csma)
+        carrier_sense = CarrierSense(self._channel, ids=ids, place=self._place)
+        self._medium = Medium(seed=config.seed, hears=carrier_sense if radio.hidden_nodes else None, is_shared=radio.csma)
         self._schedule = BeaconSchedule(seed=config.seed, period_ns=round(config.period_s * _NS_PER_S))
         self._dues: list[tuple[int, int, int]] = []
         self._is_off: set[NodeId] = set()
@@ -179,8 +181,7 @@ class LiveSensing:
     def _with_coordinator(self, places: Floats) -> Floats:
         return np.vstack([places, self._coordinator_place])
 
-    def _hears(self, listener: int, talker: int, _at_ns: int) -> bool:
-        """Tell whether the listener's carrier sense notices the talker, by where they are at the end of the step."""
-        to, by = (np.array([self._row[one]]) for one in (listener, talker))
-        power_dbm = self._channel.mean_dbm(by, to, from_place=self._places[by], to_place=self._places[to])
-        return float(power_dbm[0]) >= self._channel.config.carrier_dbm
+    def _place(self, row: int, _at_ns: int) -> tuple[float, float]:
+        """Return where a radio is at the end of the step: near enough for carrier sense."""
+        x, y = self._places[row].tolist()
+        return x, y

@@ -3,7 +3,6 @@
 The world's unit of length counts as a metre. Times are the world's: as if every backpack's clock had been fitted without error.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -13,6 +12,7 @@ from simulator import draws
 from simulator.arena import Arena
 from simulator.beacons import BEACON_OCTETS, BeaconSchedule
 from simulator.bursts import BurstLoss
+from simulator.carrier_sense import CarrierSense
 from simulator.channel import Channel
 from simulator.draws import Floats
 from simulator.errors import ParameterError
@@ -208,7 +208,9 @@ def _send(
         number[order] = np.arange(sender.size) - np.repeat(np.cumsum(counts) - counts, counts)
         packets = Packets(sender=sender, number=number, start_ns=due_ns, end_ns=due_ns + airtime_ns(BEACON_OCTETS))
         return packets, (np.empty(0, np.int64), np.empty(0, np.int64))
-    hears = _CarrierSense(channel=channel, paths=paths, ids=ids) if config.radio.hidden_nodes else None
+    hears = None
+    if config.radio.hidden_nodes:
+        hears = CarrierSense(channel, ids=ids, place=lambda row, at_ns: paths.place(row, at_ns / _NS_PER_S))
     medium = Medium(seed=config.seed, hears=hears)
     for at_ns, row in zip(due_ns.tolist(), sender.tolist(), strict=True):
         medium.request(ids[row], at_ns=at_ns, n_octets=BEACON_OCTETS)
@@ -219,30 +221,6 @@ def _send(
     sent = is_sent == 1
     packets = Packets(sender=row[sent], number=number[sent], start_ns=start_ns[sent], end_ns=end_ns[sent])
     return packets, (start_ns[~sent], row[~sent])
-
-
-class _CarrierSense:
-    """Tells whether one biobot's carrier sense notices another's packet: by the power without fading."""
-
-    __slots__ = ("_channel", "_gain_db", "_paths", "_row")
-
-    def __init__(self, *, channel: Channel, paths: Paths, ids: Sequence[int]) -> None:
-        self._channel = channel
-        self._paths = paths
-        self._row = {one: row for row, one in enumerate(ids)}
-        self._gain_db: dict[int, list[float]] = {}
-
-    def __call__(self, listener: int, talker: int, at_ns: int) -> bool:
-        to, by = self._row[listener], self._row[talker]
-        if to not in self._gain_db:
-            everybody = np.arange(len(self._row))
-            self._gain_db[to] = self._channel.pair_gain_db(everybody, np.full_like(everybody, to)).tolist()
-        here, there = (self._paths.place(row, at_ns / _NS_PER_S) for row in (to, by))
-        config = self._channel.config
-        power_dbm = config.median_dbm(math.dist(here, there)) + self._gain_db[to][by]
-        if config.wall_db and power_dbm >= config.carrier_dbm:
-            power_dbm -= config.wall_db * int(self._channel.walls_between(np.array([there]), np.array([here]))[0])
-        return power_dbm >= config.carrier_dbm
 
 
 def _distances(place: Floats, sender: Indices) -> Floats:

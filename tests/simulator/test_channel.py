@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from shapely.geometry import Polygon, box
 
 from simulator.arena import build_arena
+from simulator.carrier_sense import CarrierSense
 from simulator.channel import Channel
 from simulator.errors import ParameterError, ScenarioError
 from simulator.radio import RADIO_PRESETS, RadioConfig, choose_radio
@@ -16,7 +17,6 @@ from simulator.radio_keys import RadioKeys
 
 N = 400
 IDS = range(1, N + 1)
-RNG = np.random.default_rng(1)
 ONE, OTHER = (side.astype(np.int64) for side in np.triu_indices(N, k=1))
 
 
@@ -104,6 +104,22 @@ def test_a_wall_is_counted_once_and_an_obstacle_once() -> None:
     assert channel.walls_between(np.array([[1.0, 5.0]]), np.array([[9.0, 5.1]])).tolist() == [2]
     power = channel.mean_dbm(np.array([0]), np.array([1]), from_place=places[1:2], to_place=others[1:2])
     assert power[0] == pytest.approx(channel.config.median_dbm(5.0) - 5.0)
+
+
+def test_carrier_sense_notices_what_comes_in_above_its_threshold_walls_included() -> None:
+    arena = build_arena(Polygon(box(0, 0, 10, 10).exterior, [box(4, 0.5, 5, 9.5).exterior]))
+    config = RadioConfig(wall_db=15.0, shadowing_db=4.0, asymmetry_db=2.0, fading_db=9.0, hidden_nodes=True, carrier_dbm=-70.0)
+    ids = range(1, 41)
+    channel = Channel(config, seed=1, ids=ids, arena=arena)
+    place = np.random.default_rng(1).uniform([0, 0], [10, 0.4], (40, 2)) + np.array([0.0, 5.0]) * (np.arange(40)[:, None] % 2)
+    place[(place[:, 0] > 3.9) & (place[:, 0] < 5.1) & (place[:, 1] > 0.5), 0] = 3.0
+    hears = CarrierSense(channel, ids=ids, place=lambda row, _t: (float(place[row, 0]), float(place[row, 1])))
+    listener, talker = (side.ravel() for side in np.meshgrid(np.arange(40), np.arange(40)))
+    listener, talker = listener[listener != talker], talker[listener != talker]
+    mean_dbm = channel.mean_dbm(talker, listener, from_place=place[talker], to_place=place[listener])
+    noticed = [hears(ids[to], ids[by], 0) for to, by in zip(listener.tolist(), talker.tolist(), strict=True)]
+    assert noticed == (mean_dbm >= -70.0).tolist()
+    assert 0.1 < np.mean(noticed) < 0.9
 
 
 def test_every_value_of_a_radio_preset_that_is_not_the_default_has_its_source() -> None:
