@@ -71,11 +71,16 @@ class SensingConfig:
 def thresholds(radio: RadioConfig, *, detection: float, enter_dbm: float | None, exit_dbm: float | None) -> tuple[float, float]:
     """Complete thresholds [dBm] from the median path loss: enter at the detection radius [m], exit at 1.15 of it, but not above enter.
 
+    Enter is at most what is said of a sender so near that power grows no more, else a radius of 1 cm would never be entered.
+
     Notes
     -----
     A radio that says whole dBm rounds: the radii at which half of all beacons pass move by up to 0.5 dB, 5 % at an exponent of 2.4.
     """
-    enter = radio.median_dbm(detection) if enter_dbm is None else enter_dbm
+    step = radio.rssi_step_db
+    loudest_dbm = radio.median_dbm(0.0)
+    said_dbm = step * round(loudest_dbm / step) if step else loudest_dbm
+    enter = min(radio.median_dbm(detection), said_dbm) if enter_dbm is None else enter_dbm
     derived_dbm = min(enter, radio.median_dbm(EXIT_PER_ENTER * detection))
     return enter, derived_dbm if exit_dbm is None else exit_dbm
 

@@ -22,7 +22,7 @@ def strikes(loss: BurstLoss, t_s: NDArray[np.float64], *, sender: int | NDArray[
 
 def test_the_stationary_loss_and_the_lengths_of_bursts_are_those_asked_for() -> None:
     """100,000 s of one link hold some 10,000 bursts: both means are known within 2 % or so (3 standard errors are 3 %)."""
-    step_s = 0.05
+    step_s = 0.1
     struck = strikes(BurstLoss(seed=3, good_s=GOOD_S, bad_s=BAD_S), np.arange(0, 100_000, step_s))
     assert struck.mean() == pytest.approx(BAD_S / (GOOD_S + BAD_S), rel=0.04)
     n_bursts = int((struck[1:] & ~struck[:-1]).sum())

@@ -24,13 +24,15 @@ def a_channel(*, seed: int = 1, **values: float) -> Channel:
     return Channel(RadioConfig(**values), seed=seed, ids=IDS)  # type: ignore[arg-type]  # every value given here is a float
 
 
+PLAIN = a_channel(shadowing_db=6.0)
+
+
 @given(near=st.floats(0.01, 1e4), further=st.floats(1.0, 100.0))
 def test_power_falls_with_distance_in_the_median(near: float, further: float) -> None:
-    channel = a_channel(shadowing_db=6.0)
-    powers = channel.median_dbm(np.array([near, near * further]))
+    powers = PLAIN.median_dbm(np.array([near, near * further]))
     assert powers[1] <= powers[0]
     assert powers[0] - powers[1] == pytest.approx(24 * math.log10(further), abs=1e-9)
-    assert powers[0] == pytest.approx(channel.config.median_dbm(near), abs=1e-9)
+    assert powers[0] == pytest.approx(PLAIN.config.median_dbm(near), abs=1e-9)
 
 
 def test_without_asymmetry_both_directions_are_alike_and_with_it_they_differ_by_its_deviation() -> None:

@@ -94,6 +94,13 @@ def test_more_beacons_show_more_of_the_contact(results: Path, tmp_path: Path) ->
     assert shares == sorted(shares)
 
 
+def test_a_detection_radius_of_a_centimetre_is_entered(tmp_path: Path) -> None:
+    run(config(tmp_path / "out", preset="paper-50cm", duration_s=20.0, beacon_period_s=0.1, radio="ideal"))
+    fidelity = json.loads((tmp_path / "out" / "run.json").read_text())["sensing"]["fidelity"]
+    assert fidelity["detected_share"] > 0.5
+    assert fidelity["sensitivity_in_time"] > 0.3
+
+
 def test_flags_choose_the_sensing_and_a_bad_one_is_told(tmp_path: Path) -> None:
     base = ["run", "--scenario", "no-obstacle", "--seed", "1", "--biobots", "10", "--duration", "5", "--out", str(tmp_path / "out")]
     done = biobot_sim(*base, "--sensing", "beacon", "--beacon-period-s", "0.5", "--radio", "rubble", "--no-csma")

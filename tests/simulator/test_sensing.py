@@ -156,6 +156,8 @@ def test_thresholds_are_the_median_at_the_radius_and_a_little_beyond() -> None:
     enter, leave = thresholds(radio, detection=0.5, enter_dbm=None, exit_dbm=None)
     assert enter == radio.median_dbm(0.5)
     assert leave == radio.median_dbm(0.575)
+    assert radio.median_dbm(0.01) == pytest.approx(-2.6)
+    assert thresholds(radio, detection=0.01, enter_dbm=None, exit_dbm=None)[0] == -3  # what a receiver says of -2.6 dBm
     assert thresholds(radio, detection=0.5, enter_dbm=-80.0, exit_dbm=None) == (-80.0, -80.0)
     with pytest.raises(ParameterError, match=r"exit_dbm is -70.0; wanted at most enter_dbm, -80.0"):
         SensingConfig(seed=1, detection=0.5, communication=4.0, enter_dbm=-80.0, exit_dbm=-70.0).proximity(per_s=1000)
