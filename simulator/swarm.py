@@ -241,6 +241,8 @@ class Swarm:
             node, received = self._offered.pop(one.ticket)
             if one.is_carried:
                 self._air.send_up(received, node=node, now_ns=one.at_ns)
+        if self.has_ended:
+            return  # beacons that were still under way find no logger
         for beacon in heard:
             clock = self._clocks[beacon.node]
             self._backpacks[beacon.node].hear_beacon(

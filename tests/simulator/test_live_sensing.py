@@ -6,7 +6,7 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from firmware_protocol.messages import EncounterBatch, EncounterEntry, Hello
+from firmware_protocol.messages import MAX_ENCOUNTER_MS, EncounterBatch, EncounterEntry, Hello
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId, RssiDbm
 from simulator.backpack import Backpack, BackpackConfig, Transmission
 from simulator.clock import DriftingClock
@@ -182,6 +182,18 @@ def test_a_backpack_reports_the_mean_strength_of_the_beacons_in_whole_dbm() -> N
     messages = [one.message for one in backpack.poll(now_ms=5_000) if isinstance(one, Transmission)]
     (entry,) = (entry for message in messages if isinstance(message, EncounterBatch) for entry in message.entries)
     assert (entry.start_ms, entry.duration_ms, entry.rssi_dbm) == (100, 2000, RssiDbm(round(-152 / 3)))
+
+
+def test_a_contact_longer_than_an_entry_can_say_is_reported_in_pieces_that_touch() -> None:
+    config = BackpackConfig(proximity=ProximityConfig(enter_dbm=-50.0, exit_dbm=-60.0, gap=1150), provisional_ms=10**9, spread_ms=0)
+    backpack = Backpack(node=NodeId(1), boot=BootId(1), eui64=1, seed=1, config=config, now_ms=0, sense_neighbours=list)
+    last_ms = 4_500_000
+    for at_ms in range(0, last_ms + 1, 1000):
+        backpack.hear_beacon(NodeId(2), at_ms=at_ms, rssi_dbm=-45.0, now_ms=at_ms)
+    backpack.stop_sensing(now_ms=last_ms + 500)
+    messages = [one.message for one in backpack.poll(now_ms=last_ms + 5_000) if isinstance(one, Transmission)]
+    entries = [entry for message in messages if isinstance(message, EncounterBatch) for entry in message.entries]
+    assert [(one.start_ms, one.duration_ms) for one in entries] == [(0, MAX_ENCOUNTER_MS), (MAX_ENCOUNTER_MS, last_ms - MAX_ENCOUNTER_MS)]
 
 
 def test_a_beacon_period_that_hello_cannot_say_is_refused() -> None:
