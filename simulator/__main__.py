@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
-from simulator import arena_flags, motion_flags
+from simulator import arena_flags, motion_flags, radio_flags
 from simulator.config import RunConfig
 from simulator.config_sources import load_config
 from simulator.errors import InterruptedRunError, ParameterError, ScenarioError, SimulationError
@@ -72,9 +72,11 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         config = load_config(RunConfig, args)
         if args.check_config:
             from simulator.presets import find_preset  # noqa: PLC0415
+            from simulator.radio import choose_radio  # noqa: PLC0415
             from simulator.scenarios import find_scenario  # noqa: PLC0415
 
             find_preset(config.preset)
+            choose_radio(config)
             if config.scenario is not None:
                 find_scenario(config.scenario)
             print(f"{args.config or 'defaults and environment'}: the configuration is valid")
@@ -153,6 +155,7 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("--landmarks", type=int, metavar="N", help="how many of them stand still as landmarks (default: the preset's share)")
     run.add_argument("--duration", dest="duration_s", type=float, metavar="S", help="seconds to explore (default: the preset's)")
     run.add_argument("--seed", type=int, metavar="N", help="same seed, same run")
+    radio_flags.add_arguments(run)
     run.add_argument("--out", metavar="DIR", help="directory for the results; made if missing")
     run.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")
     run.add_argument("--snapshot", metavar="FILE", help="keep the run in this file, for 'resume' after a signal")

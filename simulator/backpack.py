@@ -36,10 +36,12 @@ from firmware_protocol.messages import (
     WireCause,
     WireMode,
 )
-from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
+from firmware_protocol.units import BootId, NodeId, RssiDbm
 from simulator import chance
+from simulator.contacts import Contact, tick, whole_dbm
 from simulator.errors import ParameterError
 from simulator.outbox import Outbox, OutboxConfig
+from simulator.proximity import Closed, Opened, ProximityConfig, ProximityLogger
 from simulator.stimulator import Actuation, Outcome, Stimulator
 
 CAN_BE_STIMULATED = 1
@@ -50,7 +52,6 @@ MAX_NODE = 0xFFFE
 _SPREAD_STREAM = 202
 _MAX_NEIGHBOURS = 250  # the table's size in this model: the strongest are told
 _MODULUS = 1 << 16
-_TICKS = 1 << 32
 
 # The voltage is taken to fall evenly over the battery's life to the 2.0 V at which a CC2530 stops (its datasheet).
 _FULL_MV = 3_000
@@ -78,6 +79,10 @@ class BackpackConfig:
         (its datasheet), so a 50 mAh cell lasts two hours.
     insect_obeys
         False where the insect cannot be made to do anything, as in a replay: commands are answered, and the mode stays what is sensed.
+    beacon_period_ms
+        What Hello says of it [ms]; 0: encounters are sensed continuously.
+    proximity
+        How encounters are formed from beacons, in milliseconds; None where none are heard.
     """
 
     report_period_ms: int = 1_000
@@ -89,12 +94,18 @@ class BackpackConfig:
     battery_life_ms: int = 2 * 3_600_000
     insect_obeys: bool = True
     firmware: int = 0x0001
+    beacon_period_ms: int = 0
+    proximity: ProximityConfig | None = None
     outbox: OutboxConfig = field(default_factory=OutboxConfig)
 
     def __post_init__(self) -> None:
         for name in ("report_period_ms", "status_period_ms", "neighbours_period_ms", "provisional_ms", "capacity", "battery_life_ms"):
             if getattr(self, name) < 1:
                 raise ParameterError(name=name, got=getattr(self, name), wanted="at least 1")
+        if not 0 <= self.beacon_period_ms < _MODULUS:
+            raise ParameterError(
+                name="beacon_period_ms", got=self.beacon_period_ms, wanted=f"0 to {_MODULUS - 1}: Hello has 16 bits for it"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,13 +129,6 @@ class Acknowledged:
 
 Effect: TypeAlias = Transmission | Acknowledged | Actuation
 """What a call brings about outside the backpack."""
-
-
-@dataclass(slots=True, kw_only=True)
-class _Contact:
-    start_ms: int
-    rssi_dbm: RssiDbm
-    next_report_ms: int
 
 
 class Backpack:
@@ -160,7 +164,8 @@ class Backpack:
         self._sense_neighbours = sense_neighbours
         self._outbox = Outbox(biobot=node, seed=seed, config=config.outbox)
         self._stimulator = Stimulator()
-        self._contacts: dict[NodeId, _Contact] = {}
+        self._logger = None if config.proximity is None else ProximityLogger(config=config.proximity)
+        self._contacts: dict[NodeId, Contact] = {}
         self._buffer: deque[EncounterEntry] = deque()
         self._n_unacknowledged = 0
         self._flush_at_ms: int | None = None
@@ -187,7 +192,7 @@ class Backpack:
 
     def begin_encounter(self, peer: NodeId, *, start_ms: int, rssi_dbm: RssiDbm) -> None:
         """Sense that ``peer`` came within detection range."""
-        self._contacts[peer] = _Contact(start_ms=start_ms, rssi_dbm=rssi_dbm, next_report_ms=start_ms + self._config.provisional_ms)
+        self._contacts[peer] = Contact(start_ms=start_ms, rssi_dbm=rssi_dbm, next_report_ms=start_ms + self._config.provisional_ms)
 
     def end_encounter(self, peer: NodeId, *, end_ms: int, now_ms: int) -> None:
         """Sense that ``peer`` went; nothing happens where no encounter with it had begun."""
@@ -195,6 +200,25 @@ class Backpack:
         contact = self._contacts.pop(peer, None)
         if contact is not None:
             self._store(peer, contact, end_ms=max(end_ms, contact.start_ms), now_ms=now_ms)
+
+    def hear_beacon(self, peer: NodeId, *, at_ms: int, rssi_dbm: float, now_ms: int) -> None:
+        """Sense ``peer``'s beacon, which came at ``at_ms``; nothing happens where encounters are not formed from beacons."""
+        if self._logger is not None:
+            self._follow(self._logger.hear(peer, at=at_ms, rssi_dbm=rssi_dbm), now_ms=now_ms)
+            contact = self._contacts.get(peer)
+            if contact is not None:
+                contact.last_ms = max(at_ms, contact.start_ms)
+
+    def sense_until(self, until_ms: int, *, now_ms: int) -> bool:
+        """Know that every beacon up to ``until_ms`` has been given: what none has kept for too long ends; tell whether anything did."""
+        changes = [] if self._logger is None else self._logger.poll(now=until_ms)
+        self._follow(changes, now_ms=now_ms)
+        return bool(changes)
+
+    def stop_sensing(self, *, now_ms: int) -> None:
+        """End every encounter that beacons keep open, with its last beacon."""
+        if self._logger is not None:
+            self._follow(self._logger.close_all(), now_ms=now_ms)
 
     def change_mode(self, mode: WireMode, cause: WireCause, *, at_ms: int) -> None:
         """Sense that the insect walks or stands still; told at once if it is news."""
@@ -241,6 +265,17 @@ class Backpack:
         if self._hello_at_ms is None and not self._outbox.holds(Hello):
             self._hello_at_ms = now_ms
 
+    def _follow(self, changes: Sequence[Opened | Closed], *, now_ms: int) -> None:
+        for change in changes:
+            peer = NodeId(change.peer)
+            match change:
+                case Opened(start=start_ms, rssi_dbm=rssi_dbm):
+                    self.begin_encounter(peer, start_ms=start_ms, rssi_dbm=whole_dbm(rssi_dbm))
+                    self._contacts[peer].last_ms = start_ms
+                case Closed(end=end_ms, mean_rssi_dbm=rssi_dbm):
+                    self._contacts[peer].rssi_dbm = whole_dbm(rssi_dbm)
+                    self.end_encounter(peer, end_ms=end_ms, now_ms=now_ms)
+
     def _obey(self, message: Downlink, *, now_ms: int, is_broadcast: bool) -> list[Effect]:
         match message:
             case HelloRequest():
@@ -251,7 +286,7 @@ class Backpack:
             case Acknowledge():
                 return self._acknowledge(message, now_ms=now_ms) if message.boot == self.boot else []
             case TimeSyncRequest():
-                reply = TimeSyncReply(token=message.token, received_ms=_tick(now_ms))
+                reply = TimeSyncReply(token=message.token, received_ms=tick(now_ms))
                 return [Transmission(payload=self._encode(0, reply, now_ms=now_ms), sequence=0, message=reply, is_first=True)]
             case Stimulate():
                 return list(self._settle(self._stimulator.submit(message, now_ms=now_ms), now_ms=now_ms))
@@ -273,7 +308,7 @@ class Backpack:
             if outcome.command is not None:
                 # A full outbox costs a reply, never the execution: the base station then reports the outcome as unknown.
                 self._outbox.put(
-                    StimulateReply(command=outcome.command, result=outcome.result, executed_ms=_tick(outcome.decided_ms), mode=self.mode)
+                    StimulateReply(command=outcome.command, result=outcome.result, executed_ms=tick(outcome.decided_ms), mode=self.mode)
                 )
         return actuations
 
@@ -288,7 +323,12 @@ class Backpack:
 
     def _tell_what_is_due(self, now_ms: int) -> None:
         if self._hello_at_ms is not None and now_ms >= self._hello_at_ms:
-            hello = Hello(eui64=self._eui64, firmware=self._config.firmware, beacon_period_ms=0, capabilities=CAN_BE_STIMULATED)
+            hello = Hello(
+                eui64=self._eui64,
+                firmware=self._config.firmware,
+                beacon_period_ms=self._config.beacon_period_ms,
+                capabilities=CAN_BE_STIMULATED,
+            )
             self._hello_at_ms = None if self._outbox.put(hello) else now_ms + self._config.outbox.first_retry_ms
         if self._status_at_ms is not None and now_ms >= self._status_at_ms:
             self._status_at_ms = now_ms + self._config.status_period_ms
@@ -304,7 +344,7 @@ class Backpack:
         battery_mv = max(_EMPTY_MV, _FULL_MV - (_FULL_MV - _EMPTY_MV) * age_ms // self._config.battery_life_ms)
         self._outbox.put(
             Status(
-                mode=self.mode, cause=self.cause, mode_since_ms=_tick(self._since_ms), battery_mv=battery_mv,
+                mode=self.mode, cause=self.cause, mode_since_ms=tick(self._since_ms), battery_mv=battery_mv,
                 buffered=min(self.n_buffered, _MODULUS - 1), dropped=self.n_dropped % _MODULUS,
             )
         )  # fmt: skip
@@ -320,20 +360,20 @@ class Backpack:
             if now_ms >= contact.next_report_ms:
                 contact.next_report_ms = now_ms + self._config.provisional_ms
                 if self.n_buffered < self._config.capacity:  # where there is no room, the final report is worth more
-                    self._keep(_entry(peer, contact, end_ms=now_ms, is_ongoing=True), now_ms=now_ms)
+                    self._keep(contact.entry(peer, end_ms=contact.known_until_ms(now_ms), is_ongoing=True), now_ms=now_ms)
 
     def _cut_long_contacts(self, until_ms: int, *, now_ms: int) -> None:
         for peer, contact in self._contacts.items():
-            while until_ms - contact.start_ms > MAX_ENCOUNTER_MS:
+            while contact.known_until_ms(until_ms) - contact.start_ms > MAX_ENCOUNTER_MS:
                 cut_ms = contact.start_ms + MAX_ENCOUNTER_MS
                 self._store(peer, contact, end_ms=cut_ms, now_ms=now_ms)
                 contact.start_ms = cut_ms
 
-    def _store(self, peer: NodeId, contact: _Contact, *, end_ms: int, now_ms: int) -> None:
+    def _store(self, peer: NodeId, contact: Contact, *, end_ms: int, now_ms: int) -> None:
         if self.n_buffered >= self._config.capacity:
             self.n_dropped += 1
         else:
-            self._keep(_entry(peer, contact, end_ms=end_ms, is_ongoing=False), now_ms=now_ms)
+            self._keep(contact.entry(peer, end_ms=end_ms, is_ongoing=False), now_ms=now_ms)
 
     def _keep(self, entry: EncounterEntry, *, now_ms: int) -> None:
         self._buffer.append(entry)
@@ -360,15 +400,4 @@ class Backpack:
         )
 
     def _encode(self, sequence: int, message: Uplink, *, now_ms: int) -> bytes:
-        return encode_uplink(UplinkHeader(node=self.node, boot=self.boot, sequence=sequence, sent_ms=_tick(now_ms)), message)
-
-
-def _entry(peer: NodeId, contact: _Contact, *, end_ms: int, is_ongoing: bool) -> EncounterEntry:
-    duration_ms = Milliseconds(min(end_ms - contact.start_ms, MAX_ENCOUNTER_MS))
-    return EncounterEntry(
-        peer=peer, start_ms=_tick(contact.start_ms), duration_ms=duration_ms, rssi_dbm=contact.rssi_dbm, is_ongoing=is_ongoing
-    )
-
-
-def _tick(ms: int) -> Milliseconds:
-    return Milliseconds(ms % _TICKS)
+        return encode_uplink(UplinkHeader(node=self.node, boot=self.boot, sequence=sequence, sent_ms=tick(now_ms)), message)

@@ -20,6 +20,16 @@ class Clock(Protocol):
         """Return the present as UTC since 1970 [ns]."""
 
 
+class BackpackClock(Protocol):
+    """A backpack's own clock, as a function of the time since the run began."""
+
+    def read_ms(self, elapsed_ns: int) -> Milliseconds:
+        """Return what the clock shows ``elapsed_ns`` [ns] into the run, rounded down."""
+
+    def elapsed_ns(self, ms: int) -> int:
+        """Return the first instant of the run [ns] at which the clock shows at least ``ms``."""
+
+
 class WallClock:
     """The machine's own clocks."""
 

@@ -8,6 +8,7 @@ import msgspec
 
 from simulator.errors import ParameterError
 from simulator.motion import MotionParameters, WallLaw
+from simulator.radio_keys import RadioKeys
 
 # Beyond this, a float of seconds rounds more coarsely than insects keep away from walls.
 _MAX_TIME_S = 1e7
@@ -94,7 +95,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return replace(preset, **given)
 
 
-class WorldConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class WorldConfig(RadioKeys, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which world to make: the part of the configuration that every command shares.
 
     A seed, and a scenario or an arena, must be given before a world is made; what else is not given comes from the preset.

@@ -1,7 +1,7 @@
 """An expedition: dispersion, landmark selection, exploration; something that can be put on disk in the middle and taken up again."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import msgspec
@@ -9,6 +9,8 @@ import msgspec
 from firmware_protocol.landmarks import select_landmarks
 from simulator.config import RunConfig
 from simulator.errors import SnapshotError
+from simulator.sensed_run import SensedRun, sense_run
+from simulator.sensing import SensingConfig
 from simulator.setting import Setting, choose_setting
 from simulator.truth import RecorderState, TruthRecorder
 from simulator.world import World
@@ -119,17 +121,40 @@ class Expedition:
         """Encounters since the landmarks were set, those going on included."""
         return self.recorder.count_encounters(zero_s=self.setting.dispersion_s)
 
-    def files(self, **about: object) -> dict[str, bytes]:
-        """Return the content of every file of results, by name; ``about`` comes first in ``run.json``."""
-        description = {**about, **self.setting.describe(), "landmark_ids": sorted(self.landmarks)}
+    def sense(self, config: SensingConfig) -> SensedRun:
+        """Sense the run that is over by beacons, up to when each backpack fell silent; walls attenuate as they stood at first."""
+        zero_s = self.setting.dispersion_s
+        return sense_run(
+            self.world,
+            arena=self.setting.arena,
+            config=config,
+            zero_s=zero_s,
+            true=self.recorder.encounters(zero_s=zero_s),
+            radio=self.config.radio,
+            off_s=self.recorder.silent_from_s,
+        )
+
+    def files(self, about: Mapping[str, object] | None = None, *, sensed: SensedRun | None = None) -> dict[str, bytes]:
+        """Return the content of every file of results, by name.
+
+        Parameters
+        ----------
+        about
+            Comes first in ``run.json``.
+        sensed
+            What beacons made of the run: ``encounters.csv`` then holds that.
+        """
         setting = self.setting
-        return self.recorder.files(
+        how = {"kind": self.config.sensing, **({} if sensed is None else sensed.description)}
+        files = self.recorder.files(
             zero_s=setting.dispersion_s,
-            run=description,
+            run={**(about or {}), **setting.describe(), "landmark_ids": sorted(self.landmarks), "sensing": how},
             position_samples=self.config.position_samples,
             arena=setting.arena,
             changes=setting.arena_changes,
+            observed=None if sensed is None else sensed.encounters,
         )
+        return ({} if sensed is None else sensed.files) | files
 
     def _turns(self) -> list[tuple[float, Callable[[], None]]]:
         """List what is to be done when [s], in order; at one instant in this order."""

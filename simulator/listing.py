@@ -1,9 +1,11 @@
 """``biobot-sim scenarios``: what scenarios and presets there are."""
 
 import json
+import math
 from dataclasses import asdict
 
 from simulator.presets import DEFAULT_PRESET, PRESETS
+from simulator.radio import RADIO_PRESETS
 from simulator.scenarios import SCENARIOS
 
 
@@ -47,7 +49,11 @@ def list_scenarios(*, as_json: bool) -> str:
             }
             for preset in PRESETS.values()
         ]
-        return json.dumps({"scenarios": scenarios, "presets": presets}, indent=2)
+        radios = [
+            {"name": radio.name, "summary": radio.summary, "values": _finite(asdict(radio.config)), "sources": dict(radio.sources)}
+            for radio in RADIO_PRESETS.values()
+        ]
+        return json.dumps({"scenarios": scenarios, "presets": presets, "radio_presets": radios}, indent=2)
     lines = [f"{'scenario':<16}{'components':>11}{'holes':>7}  what it is"]
     for name, arena in built.items():
         note = " (counted with seed 0)" if SCENARIOS[name].is_random else ""
@@ -61,4 +67,10 @@ def list_scenarios(*, as_json: bool) -> str:
         f"{preset.duration_s:>7g}  {preset.summary}{' (default)' if preset.name == DEFAULT_PRESET else ''}"
         for preset in PRESETS.values()
     ]
+    lines += ["\nradio preset  what it is", *(f"{radio.name:<14}{radio.summary}" for radio in RADIO_PRESETS.values())]
     return "\n".join(lines)
+
+
+def _finite(values: dict[str, float]) -> dict[str, float | None]:
+    """Write a limit that is not there as null: JSON has no infinity."""
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}

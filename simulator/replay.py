@@ -14,6 +14,7 @@ from simulator.config_sources import load_config
 from simulator.coverage import CoverageConfig, spread_places
 from simulator.errors import ParameterError
 from simulator.log import EventLog, set_up_logging
+from simulator.radio import RadioConfig
 from simulator.recorded_world import RecordedWorld
 from simulator.recording import load_recording
 from simulator.replay_config import ReplayConfig
@@ -72,6 +73,7 @@ def main(args: argparse.Namespace) -> int:
             observe=observers(recorder, stream),
             flush=stream.flush if stream is not None else lambda: None,
             insects_obey=False,
+            radio=RadioConfig(loss=config.loss),
         )
         service = Service(config, cast, lines=lines, clock=WallClock())
         asyncio.run(service.run())

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.messages import EncounterBatch
 from firmware_protocol.units import BootId, NodeId
-from simulator.clock import DriftingClock
+from simulator.clock import BackpackClock
 
 HEADER = ("node", "boot", "sequence", "peer", "t_start_s", "t_end_s", "is_ongoing", "is_acknowledged")
 
@@ -31,7 +31,7 @@ class ReportLog:
         """Reports that the base station has not confirmed."""
         return self.n_reports - self._n_acknowledged
 
-    def add(self, batch: EncounterBatch, *, node: NodeId, boot: BootId, sequence: int, clock: DriftingClock) -> None:
+    def add(self, batch: EncounterBatch, *, node: NodeId, boot: BootId, sequence: int, clock: BackpackClock) -> None:
         """Note a batch that goes on the air for the first time."""
         first = self.n_reports
         self.n_reports += len(batch.entries)

@@ -14,6 +14,7 @@ from simulator.errors import InterruptedRunError, OutputError, SnapshotError
 from simulator.expedition import Expedition
 from simulator.log import EventLog
 from simulator.output import OutputDirectory, write_whole
+from simulator.sensed_run import sensing_config
 from simulator.watch import Watch
 
 log = EventLog(__name__)
@@ -71,14 +72,19 @@ def resume(snapshot: Path, *, out: str | None, force: bool) -> None:
 
 
 def _finish(expedition: Expedition, output: OutputDirectory, config: RunConfig, *, snapshot: Path | None = None) -> None:
+    sensing = sensing_config(config, expedition.setting) if config.sensing == "beacon" else None
     began_s = time.perf_counter()
     place = snapshot or (None if config.snapshot is None else Path(config.snapshot))
     with _shown(expedition, config) as walk:
         _advance_to_the_end(expedition, walk, snapshot=place, every_s=config.snapshot_every_s)
+    sensed = None
+    if sensing is not None:
+        sensed = expedition.sense(sensing)
     wall_time_s = round(time.perf_counter() - began_s, 3)
-    files = expedition.files(program="biobot-sim run", version=version("biobot-gateway"), wall_time_s=wall_time_s)
-    output.commit(files)
-    log.info("run.done", out=str(output.path), encounters=expedition.n_encounters, wall_time_s=wall_time_s)
+    about = {"program": "biobot-sim run", "version": version("biobot-gateway"), "wall_time_s": wall_time_s}
+    output.commit(expedition.files(about, sensed=sensed))
+    n_encounters = expedition.n_encounters if sensed is None else len(sensed.encounters)
+    log.info("run.done", out=str(output.path), encounters=n_encounters, wall_time_s=wall_time_s)
 
 
 def _advance_to_the_end(expedition: Expedition, walk: Callable[[float], None], *, snapshot: Path | None, every_s: float | None) -> None:

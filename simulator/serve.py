@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from simulator import arena_flags, motion_flags
+from simulator import arena_flags, motion_flags, radio_flags
 from simulator.clock import WallClock
 from simulator.config_sources import load_config
 from simulator.coverage import CoverageConfig, spread_places
@@ -21,7 +21,9 @@ from simulator.line import EXAMPLES, LineSpec, parse_line
 from simulator.log import EventLog, set_up_logging
 from simulator.output import OutputDirectory
 from simulator.presets import find_preset
+from simulator.radio import choose_radio
 from simulator.scenarios import find_scenario
+from simulator.sensed_run import sensing_config
 from simulator.serve_config import ServeConfig
 from simulator.service import Cast, Service
 from simulator.setting import Setting, choose_setting
@@ -82,6 +84,7 @@ def add_backpack_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loss", type=float, metavar="P", help="probability that a radio payload is lost (default: 0)")
     parser.add_argument("--report-period-s", type=float, metavar="S", help="an encounter waits this long for company (default: 1)")
     parser.add_argument("--neighbours-period-s", type=float, metavar="S", help="how often neighbours are told (default: 5)")
+    radio_flags.add_arguments(parser)
     parser.add_argument("--boot", type=int, metavar="N", help="count of starts the backpacks tell (default: from the wall clock)")
     parser.add_argument("--out", metavar="DIR", help="directory for truth, reports and run.json; made if missing")
     parser.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")
@@ -99,6 +102,7 @@ def main(args: argparse.Namespace) -> int:
     config = load_config(ServeConfig, args)
     if args.check_config:
         find_preset(config.preset)
+        choose_radio(config, loss=config.loss)
         if config.scenario is not None:
             find_scenario(config.scenario)
         sys.stdout.write(f"{args.config or 'defaults and environment'}: the configuration is valid\n")
@@ -128,6 +132,9 @@ def main(args: argparse.Namespace) -> int:
             observe=observers(recorder, stream),
             tend=doors.tend,
             picture=_make_picture(config, setting, world),
+            radio=choose_radio(config, loss=config.loss),
+            sensing=sensing_config(config, setting, loss=config.loss) if config.sensing == "beacon" else None,
+            wander_ppm=config.wander_ppm,
             flush=stream.flush if stream is not None else lambda: None,
             response=config.response,
             metres_per_unit=_metres_per_unit(config, setting),
@@ -224,6 +231,9 @@ def _describe(config: ServeConfig, setting: Setting) -> dict[str, object]:
             "metres_per_unit": _metres_per_unit(config, setting),
             "response": msgspec.structs.asdict(config.response),
             "position_samples": config.position_samples,
+            "sensing": config.sensing,
+            "beacon_period_s": config.beacon_period_s if config.sensing == "beacon" else None,
+            "radio": config.radio,
         },
         "arena_area": setting.arena.area,
         "betti_numbers": [setting.arena.betti.components, setting.arena.betti.holes],

@@ -52,6 +52,8 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
         Backpack clocks run wrong by up to this [parts per million].
     battery_life_s
         The voltage that backpacks tell falls from full to empty over this [s]; that a backpack fails then is the world's business.
+    wander_ppm
+        Their rates wander by up to this in the course of time, as with temperature [parts per million].
     boot
         The count of starts that the backpacks tell. Without it, it is taken from the wall clock, so that a gateway that has
         heard an earlier run does not take this one for a repetition.
@@ -82,6 +84,7 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
     provisional_s: Period = 30.0
     drift_ppm: Annotated[float, msgspec.Meta(ge=0, le=1_000)] = 20.0
     battery_life_s: Duration = 7_200.0
+    wander_ppm: Annotated[float, msgspec.Meta(ge=0, le=1_000)] = 0.0
     boot: Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)] | None = None
     out: str | None = None
     force: bool = False

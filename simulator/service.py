@@ -25,6 +25,7 @@ from simulator.log import EventLog
 from simulator.radio import RadioConfig
 from simulator.replay_config import ReplayConfig
 from simulator.response import ResponseConfig
+from simulator.sensing import SensingConfig
 from simulator.serve_config import ServeConfig
 from simulator.swarm import Swarm, SwarmConfig
 from simulator.watch import Watch
@@ -51,6 +52,8 @@ class Cast:
         End by itself then [s of the run]; None: on a signal.
     insects_obey
         False in a replay: commands are answered and change nothing.
+    radio, sensing, wander_ppm
+        The air between all; how encounters are formed from beacons (None: they are exact); how much clocks' rates wander.
     observe
         Are given the world's events as they happen.
     flush
@@ -70,6 +73,9 @@ class Cast:
     tend: Callable[[], None] = lambda: None
     picture: Watch | None = None
     insects_obey: bool = True
+    radio: RadioConfig = dataclasses.field(default_factory=RadioConfig)
+    sensing: SensingConfig | None = None
+    wander_ppm: float = 0.0
     response: ResponseConfig = dataclasses.field(default_factory=ResponseConfig)
     metres_per_unit: float = 1.0
     speed_factor: float = 1.0
@@ -166,6 +172,7 @@ class Service:
             "rejoined": swarm.n_rejoined,
             "out_of_coverage_at_the_end": swarm.n_uncovered,
             "line_faults": self._line_faults(),
+            "air": swarm.air_counts,
         }
 
     def reported(self) -> bytes:
@@ -274,10 +281,13 @@ class Service:
 
 
 def _swarm_config(config: ServeConfig | ReplayConfig, cast: Cast, *, boot: BootId) -> SwarmConfig:
+    sensing = cast.sensing
     return SwarmConfig(
         seed=cast.seed,
         boot=boot,
         drift_ppm=config.drift_ppm,
+        wander_ppm=cast.wander_ppm,
+        sensing=sensing,
         backpack=BackpackConfig(
             report_period_ms=round(config.report_period_s * 1000),
             status_period_ms=round(config.status_period_s * 1000),
@@ -285,8 +295,10 @@ def _swarm_config(config: ServeConfig | ReplayConfig, cast: Cast, *, boot: BootI
             provisional_ms=round(config.provisional_s * 1000),
             battery_life_ms=round(config.battery_life_s * 1000),
             insect_obeys=cast.insects_obey,
+            beacon_period_ms=0 if sensing is None else round(sensing.period_s * 1000),
+            proximity=None if sensing is None else sensing.proximity(per_s=1000),
         ),
-        radio=RadioConfig(loss=config.loss),
+        radio=cast.radio,
         coverage=cast.coverage,
         response=cast.response,
         metres_per_unit=cast.metres_per_unit,

@@ -34,7 +34,7 @@ class Surroundings:
 
     def place(self, node: NodeId) -> tuple[float, float]:
         """Return where a biobot is [length]; nan where that is unknown."""
-        places = self._current_places()
+        places = self.places()
         row = self._row[node]
         return float(places[row, 0]), float(places[row, 1])
 
@@ -52,7 +52,7 @@ class Surroundings:
         """Return whom a biobot hears within the communication radius, but for the silent; where no places are known, whom it meets."""
         if not self.is_known:
             return self._company(node)
-        places = self._current_places()
+        places = self.places()
         square_distances = ((places - places[self._row[node]]) ** 2).sum(axis=1).tolist()
         limit = self._world.ranges.communication**2
         return [
@@ -66,7 +66,8 @@ class Surroundings:
         pairs = [(one.id1, one.id2) for one in self._world.open_encounters() if node in {one.id1, one.id2}]
         return [Neighbour(node=NodeId(id2 if id1 == node else id1), rssi_dbm=rssi_dbm) for id1, id2 in pairs]
 
-    def _current_places(self) -> Floats:
+    def places(self) -> Floats:
+        """Return where all biobots are now: shape (n, 2) [length], in the order of ``nodes``; nan where that is unknown."""
         if self._places_at_s != self._world.now_s:
             self._places_at_s = self._world.now_s
             self._places = self._world.positions()

@@ -16,18 +16,21 @@ from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId
 from simulator import chance
 from simulator.air import Air, DownlinkArrival, SendingDone, UplinkArrival
 from simulator.backpack import MAX_NODE, Acknowledged, Backpack, BackpackConfig, Effect, Transmission
-from simulator.clock import DriftingClock
+from simulator.clock import BackpackClock, DriftingClock
 from simulator.coordinator import Coordinator, CoordinatorConfig
 from simulator.coverage import Coverage, CoverageConfig, Place, spread_places
 from simulator.errors import ParameterError
 from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.habitat import Habitat
+from simulator.live_sensing import LiveSensing
 from simulator.radio import Radio, RadioConfig, lqi
 from simulator.reports import ReportLog
 from simulator.response import ResponseConfig
+from simulator.sensing import SensingConfig
 from simulator.steering import ExecutedActuation, Steering
 from simulator.stimulator import Actuation
 from simulator.surroundings import Surroundings
+from simulator.wandering_clock import WanderingClock
 
 _CLOCK_STREAM = 220
 _DRIFT_STREAM = 221
@@ -55,6 +58,8 @@ class SwarmConfig:
         For all draws; the count of starts that every backpack has reached.
     drift_ppm
         Clocks run too fast or too slow by up to this, drawn uniformly for each; crystals differ by about 10 ppm [Mar04].
+    wander_ppm
+        Their rates wander from that by up to this, in steps of a minute.
     switched_on_s
         Each backpack was switched on up to this long before the run, drawn uniformly [s].
     coverage
@@ -63,6 +68,8 @@ class SwarmConfig:
         How insects respond to trains; the world's unit of length [m] and how much faster than life its insects live, for that.
     keeps_history
         False: what was done to insects and reported of them is counted only, for runs without end of which nobody asks.
+    sensing
+        How encounters are formed from beacons; None: they are exact.
 
     References
     ----------
@@ -72,6 +79,7 @@ class SwarmConfig:
     seed: int
     boot: BootId
     drift_ppm: float = 20.0
+    wander_ppm: float = 0.0
     switched_on_s: float = 60.0
     backpack: BackpackConfig = field(default_factory=BackpackConfig)
     radio: RadioConfig = field(default_factory=RadioConfig)
@@ -80,6 +88,7 @@ class SwarmConfig:
     metres_per_unit: float = 1.0
     speed_factor: float = 1.0
     keeps_history: bool = True
+    sensing: SensingConfig | None = None
 
 
 class Swarm:
@@ -121,6 +130,9 @@ class Swarm:
         self._clocks = {node: _draw_clock(node, config) for node in self._nodes}
         self._backpacks = {node: self._make_backpack(node, config) for node in self._nodes}
         self._air = Air(self._nodes, radio=self._radio, seed=config.seed)
+        self._offered: dict[int, tuple[NodeId, RadioReceived]] = {}
+        self._shares_air = config.radio.csma
+        self._sensed_ns = 0
         self._dues: list[tuple[int, NodeId]] = []
         self._due_ns: dict[NodeId, int | None] = {}
         self._world_ns = 0
@@ -133,6 +145,7 @@ class Swarm:
             )
         self._associate_at_ns = 0
         self._associate(0)
+        self._sensing = self._make_sensing(config.sensing)
         for node in self._nodes:
             self._plan(node)
         for coordinator in self.coordinators:
@@ -174,6 +187,13 @@ class Swarm:
         """Backpacks that no coordinator covers now."""
         return sum(self._air.home_of(node) is None for node in self._nodes)
 
+    @property
+    def air_counts(self) -> dict[str, int] | None:
+        """Packets sent and not sent on the shared channel, and their time on it [ns]; None where encounters are sensed without beacons."""
+        if self._sensing is None:
+            return None
+        return {"sent": self._sensing.n_sent, "not_sent": self._sensing.n_not_sent, "airtime_ns": self._sensing.airtime_ns}
+
     def lag_ns(self, now_ns: int) -> int:
         """Return how far the world is behind [ns]."""
         return max(0, min(now_ns, self._end_ns) - self._world_ns)
@@ -199,6 +219,8 @@ class Swarm:
         self._react(now_ns)
         if now_ns >= self._associate_at_ns:
             self._associate(now_ns)
+        if self.has_ended and self._offered:
+            self._sense(now_ns, now_ns=now_ns)
         self._deliver(now_ns)
         while self._dues and self._dues[0][0] <= now_ns:
             due_ns, node = heapq.heappop(self._dues)
@@ -215,6 +237,8 @@ class Swarm:
         dues = [] if self.has_ended else [min(self._world_ns + _TICK_NS, self._end_ns)]
         if self._dues:
             dues.append(self._dues[0][0])
+        if self.has_ended and self._offered:
+            dues.append(self._sensed_ns + _TICK_NS)
         if not self._coverage.is_trivial:
             dues.append(self._associate_at_ns)
         deadlines = [coordinator.next_deadline_ns() for coordinator in self.coordinators]
@@ -227,12 +251,26 @@ class Swarm:
             now_ms=self._clocks[node].read_ms(0), sense_neighbours=lambda: self._surroundings.neighbours(node, silent=self.silenced),
         )  # fmt: skip
 
+    def _make_sensing(self, config: SensingConfig | None) -> LiveSensing | None:
+        if config is None:
+            return None
+        arena = self._world.arena
+        if arena is None:
+            raise ParameterError(name="sensing", got="beacon", wanted="ideal, where it is not known where the biobots are")
+        return LiveSensing(
+            self._nodes, clocks=self._clocks, arena=arena, config=config, places=self._surroundings.places(),
+            coordinator_place=_middle(self._world),
+        )  # fmt: skip
+
     def _end_world(self, now_ns: int) -> None:
         self.has_ended = True
         self._steering.end()
-        for event in self._world.open_encounters():
+        if self._sensing is not None:
+            self._sensing.silence()
+        for event in self._world.open_encounters() if self._sensing is None else ():
             self._part(event.id1, event.id2, end_ns=self._world_ns, now_ns=now_ns)
         for node, backpack in self._backpacks.items():
+            backpack.stop_sensing(now_ms=self._clocks[node].read_ms(now_ns))
             backpack.quieten()
             self._plan(node)
 
@@ -242,6 +280,8 @@ class Swarm:
         self._observe(events)
         for event in events:
             match event:
+                case EncounterBegan() | EncounterEnded() if self._sensing is not None:
+                    pass  # the backpacks have their beacons to go by
                 case EncounterBegan(t_s=t_s, id1=id1, id2=id2):
                     self._meet(id1, id2, start_ns=round(t_s * NS_PER_S))
                 case EncounterEnded(t_end_s=t_end_s, id1=id1, id2=id2):
@@ -253,6 +293,35 @@ class Swarm:
                     self._plan(node)
                 case BackpackSilenced(id=one, reason=reason):
                     self._silence(NodeId(one), reason.value)
+        self._sense(self._world_ns, now_ns=now_ns)
+
+    def _sense(self, until_ns: int, *, now_ns: int) -> None:
+        """Let beacons, and the reports that share their channel, go on to ``until_ns``."""
+        if self._sensing is None:
+            return
+        self._sensed_ns = until_ns
+        heard, carried = self._sensing.advance(until_ns, places=self._surroundings.places())
+        for one in carried:
+            node, received = self._offered.pop(one.ticket)
+            if one.is_carried:
+                self._air.send_up(received, node=node, now_ns=one.at_ns)
+        if self.has_ended:
+            return  # beacons that were still under way find no logger
+        for beacon in heard:
+            if beacon.node in self.silenced:
+                continue
+            clock = self._clocks[beacon.node]
+            self._backpacks[beacon.node].hear_beacon(
+                beacon.peer, at_ms=clock.read_ms(beacon.at_ns), rssi_dbm=beacon.rssi_dbm, now_ms=clock.read_ms(now_ns)
+            )
+        for node, backpack in self._backpacks.items():
+            if node in self.silenced:
+                continue
+            clock = self._clocks[node]
+            if backpack.sense_until(clock.read_ms(until_ns), now_ms=clock.read_ms(now_ns)):
+                self._plan(node)
+        for node in {beacon.node for beacon in heard}:
+            self._plan(node)
 
     def _meet(self, id1: int, id2: int, *, start_ns: int) -> None:
         rssi_dbm = self._surroundings.contact_rssi_dbm(NodeId(id1), NodeId(id2))
@@ -310,6 +379,8 @@ class Swarm:
             self.silenced[node] = reason
             self._steering.silence(node)
             self._air.silence(node)
+            if self._sensing is not None:
+                self._sensing.switch_off(node)
             self._plan(node)
 
     def _associate(self, now_ns: int) -> None:
@@ -340,12 +411,19 @@ class Swarm:
         distance = self._coverage.distance(place, home)
         rssi_dbm = self._radio.rssi_dbm(0.0 if math.isnan(distance) else distance)
         received = RadioReceived(source=self._air.address_of(node), rssi_dbm=rssi_dbm, lqi=lqi(rssi_dbm), payload=sent.payload)
-        self._air.send_up(received, node=node, now_ns=now_ns)
+        if self._sensing is None or not self._shares_air:
+            self._air.send_up(received, node=node, now_ns=now_ns)
+        else:
+            ticket = self._sensing.offer(node, n_octets=len(sent.payload), now_ns=now_ns)
+            self._offered[ticket] = (node, received)
 
     def _launch_requests(self, now_ns: int) -> None:
         for index, coordinator in enumerate(self.coordinators):
             while coordinator.requests:
-                self._air.send_down(coordinator.requests.popleft(), coordinator=index, now_ns=now_ns)
+                request = coordinator.requests.popleft()
+                if self._sensing is not None and self._shares_air:
+                    self._sensing.occupy(n_octets=len(request.payload), now_ns=now_ns)
+                self._air.send_down(request, coordinator=index, now_ns=now_ns)
 
     def _plan(self, node: NodeId) -> None:
         due_ms = None if node in self.silenced else self._backpacks[node].next_due_ms()
@@ -367,7 +445,11 @@ def _make_coordinator(index: int) -> Coordinator:
     return Coordinator(config=dataclasses.replace(plain, eui64=plain.eui64 + 0x10000 + index, pan_id=plain.pan_id + index))
 
 
-def _draw_clock(node: NodeId, config: SwarmConfig) -> DriftingClock:
+def _draw_clock(node: NodeId, config: SwarmConfig) -> BackpackClock:
     since_boot = chance.uniform(seed=config.seed, biobot=node, stream=_CLOCK_STREAM, index=0)
     drift = 2 * chance.uniform(seed=config.seed, biobot=node, stream=_DRIFT_STREAM, index=0) - 1
-    return DriftingClock(start_ms=int(since_boot * config.switched_on_s * 1000), drift_ppb=round(drift * config.drift_ppm * 1000))
+    start_ms, drift_ppb = int(since_boot * config.switched_on_s * 1000), round(drift * config.drift_ppm * 1000)
+    if not config.wander_ppm:
+        return DriftingClock(start_ms=start_ms, drift_ppb=drift_ppb)
+    wander_ppb = round(config.wander_ppm * 1000)
+    return WanderingClock(start_ms=start_ms, drift_ppb=drift_ppb, wander_ppb=wander_ppb, seed=config.seed, node=node)

@@ -1,6 +1,7 @@
 """The truth of a run, as files: encounters with their places, modes, positions, arena and parameters.
 
-``encounters.csv`` and ``modes.csv`` hold what a perfect base station would know; ``truth.npz`` holds what none can:
+``encounters.csv`` and ``modes.csv`` hold what a perfect base station would know. Where encounters are sensed by beacons,
+``encounters.csv`` holds what a real one would, and ``encounters_true.csv`` the exact ones. ``truth.npz`` holds what none can know:
 
     encounter_position  (rows of encounters.csv, 2)   middle between the two at the middle of the encounter [length]
     t_s                 (n_t,)                        instants [s]
@@ -39,6 +40,8 @@ RUN_FORMAT = 1
 """Told in ``run.json``; a new number for files that an older reader would misunderstand."""
 
 Integers = NDArray[np.int64]
+Columns = tuple[Integers, Integers, Floats, Floats]
+Encounter = tuple[float, float, int, int]
 
 
 class RecorderState(msgspec.Struct, frozen=True, kw_only=True):
@@ -90,6 +93,11 @@ class TruthRecorder:
             silences=[(one.t_s, one.id, one.reason.value) for one in self._silences],
         )
 
+    @property
+    def silent_from_s(self) -> dict[int, float]:
+        """When each backpack that is off fell silent [s of the world], by identity."""
+        return {one.id: one.t_s for one in self._silences}
+
     def record(self, events: Iterable[Event]) -> None:
         """Take in what ``World.advance`` returned."""
         for event in events:
@@ -114,6 +122,11 @@ class TruthRecorder:
         still = sum(self._world.now_s > max(one.t_s, zero_s) for one in self._world.open_encounters())
         return int(np.count_nonzero(end_s > np.maximum(start_s, zero_s))) + still
 
+    def encounters(self, *, zero_s: float) -> list[Encounter]:
+        """Return all encounters after ``zero_s``, as ``(start_s, end_s, id1, id2)`` in the world's time; those still open end now."""
+        id1, id2, start_s, end_s = self._columns_until_now(zero_s)
+        return list(zip(start_s.tolist(), end_s.tolist(), id1.tolist(), id2.tolist(), strict=True))
+
     def files(
         self,
         *,
@@ -122,6 +135,7 @@ class TruthRecorder:
         position_samples: int = 201,
         arena: Arena | None = None,
         changes: Sequence[ArenaChange] = (),
+        observed: Sequence[Encounter] | None = None,
     ) -> dict[str, bytes]:
         """Make the content of every file, by name.
 
@@ -138,18 +152,24 @@ class TruthRecorder:
             The arena to begin with, where it has changed since.
         changes
             What it became meanwhile; each gets a file of its own.
+        observed
+            What ``encounters.csv`` is to hold instead of the exact encounters, as ``encounters`` gives them.
 
         Notes
         -----
         Encounters still open now end now. Times are rounded to a nanosecond; rows are in order of start, end and ids. Where the
         world's arena is unknown, there are neither ``truth.npz`` nor ``arena.geojson``.
         """
-        rows, places = self._encounter_rows(zero_s)
+        exact = self._columns_until_now(zero_s)
+        rows, places = self._encounter_rows(exact if observed is None else _to_columns(observed), zero_s=zero_s)
         spells = self._mode_rows(zero_s)
         silences = [{"t_s": one.t_s - zero_s, "id": one.id, "reason": one.reason.value} for one in self._silences]
         counts = {"encounters": len(rows), "mode_spells": len(spells)}
+        header = ("t_start_s", "t_end_s", "id1", "id2")
+        true = {} if observed is None else {"encounters_true.csv": _csv(header, self._encounter_rows(exact, zero_s=zero_s)[0])}
         files = {
-            "encounters.csv": _csv(("t_start_s", "t_end_s", "id1", "id2"), rows),
+            "encounters.csv": _csv(header, rows),
+            **true,
             "modes.csv": _csv(("t_start_s", "t_end_s", "id", "mode", "cause"), spells),
         }
         first = arena or self._world.arena
@@ -173,16 +193,19 @@ class TruthRecorder:
         )
         return truth.getvalue()
 
-    def _encounter_rows(self, zero_s: float) -> tuple[list[tuple[str, str, int, int]], Floats]:
+    def _columns_until_now(self, zero_s: float) -> Columns:
+        """Return both ids, start and end [s] of every encounter after ``zero_s``; those still open end now."""
         id1, id2, start_s, end_s = self._columns()
         still = self._world.open_encounters()
         id1 = np.concatenate([id1, np.array([one.id1 for one in still], dtype=np.int64)])
         id2 = np.concatenate([id2, np.array([one.id2 for one in still], dtype=np.int64)])
-        start_s = np.concatenate([start_s, np.array([one.t_s for one in still], dtype=np.float64)])
+        start_s = np.maximum(np.concatenate([start_s, np.array([one.t_s for one in still], dtype=np.float64)]), zero_s)
         end_s = np.concatenate([end_s, np.full(len(still), self._world.now_s)])
-        start_s = np.maximum(start_s, zero_s)
         kept = end_s > start_s
-        id1, id2, start_s, end_s = id1[kept], id2[kept], start_s[kept], end_s[kept]
+        return id1[kept], id2[kept], start_s[kept], end_s[kept]
+
+    def _encounter_rows(self, encounters: Columns, *, zero_s: float) -> tuple[list[tuple[str, str, int, int]], Floats]:
+        id1, id2, start_s, end_s = encounters
         # In order of the times as they are written, to the nanosecond.
         written = [np.round(times - zero_s, 9) for times in (start_s, end_s)]
         order = np.lexsort((id2, id1, written[1], written[0]))
@@ -192,7 +215,7 @@ class TruthRecorder:
         rows = zip(start_s.tolist(), end_s.tolist(), id1.tolist(), id2.tolist(), strict=True)
         return [(*_times(start, end, zero_s), one, other) for start, end, one, other in rows], places
 
-    def _columns(self) -> tuple[Integers, Integers, Floats, Floats]:
+    def _columns(self) -> Columns:
         """Return both ids, start and end [s] of every encounter that has ended, shape (k,) each."""
         alone = self._encounters
         tables = [
@@ -219,6 +242,16 @@ class TruthRecorder:
                 if end_s > max(start_s, zero_s):
                     rows.append((*_times(max(start_s, zero_s), end_s, zero_s), one, mode.value, cause.value))
         return sorted(rows, key=lambda row: (float(row[0]), row[2], float(row[1])))
+
+
+def _to_columns(encounters: Sequence[Encounter]) -> Columns:
+    start_s, end_s, id1, id2 = zip(*encounters, strict=True) if encounters else ((), (), (), ())
+    return (
+        np.array(id1, dtype=np.int64),
+        np.array(id2, dtype=np.int64),
+        np.array(start_s, dtype=np.float64),
+        np.array(end_s, dtype=np.float64),
+    )
 
 
 def _times(start_s: float, end_s: float, zero_s: float) -> tuple[str, str]:

@@ -45,3 +45,14 @@ class NoRoomError(StudyError):
             f"{n_holes} square obstacles of side {sides[0]:g} to {sides[1]:g} found no place in an outline of area {area:g}; "
             "ask for fewer or smaller ones"
         )
+
+
+class MarkerError(StudyError):
+    """The document has no place for the table: put the two markers where it belongs."""
+
+    def __init__(self, *, path: Path, markers: tuple[str, str]) -> None:
+        self.path = path
+        self.markers = markers
+        super().__init__(
+            f"{path}: wanted each of the markers {markers[0]!r} and {markers[1]!r} once, in this order; put them where the table goes"
+        )
