@@ -98,27 +98,37 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     )
     _add_common(parser, is_command=False)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
-    run = commands.add_parser("run", help="walk a whole run as fast as possible and write encounters, modes and truth")
+    run = commands.add_parser(
+        "run", usage="%(prog)s [OPTION ...]", help="walk a whole run as fast as possible and write encounters, modes and truth"
+    )
     _add_common(run, is_command=True)
     _add_run_arguments(run)
-    resume = commands.add_parser("resume", help="finish a run that was interrupted, from its snapshot")
+    resume = commands.add_parser(
+        "resume", usage="%(prog)s [OPTION ...] SNAPSHOT", help="finish a run that was interrupted, from its snapshot"
+    )
     _add_common(resume, is_command=True)
     resume.add_argument("snapshot_file", type=Path, metavar="SNAPSHOT", help="file that 'run --snapshot' wrote; it is kept up to date")
     resume.add_argument("--out", metavar="DIR", help="directory for the results (default: the run's)")
     resume.add_argument("--force", action="store_true", help="write into a directory that is not empty")
-    serve = commands.add_parser("serve", help="walk in real time behind a virtual coordinator, for a gateway to listen to")
+    serve = commands.add_parser(
+        "serve", usage="%(prog)s [OPTION ...]", help="walk in real time behind a virtual coordinator, for a gateway to listen to"
+    )
     _add_common(serve, is_command=True)
     if "serve" in given:
         from simulator import serve as serve_module  # noqa: PLC0415  # the other commands need none of its imports
 
         serve_module.add_arguments(serve)
-    render = commands.add_parser("render", help="make pictures, films or a page of a run that is on disk")
+    render = commands.add_parser(
+        "render", usage="%(prog)s [OPTION ...] DIR", help="make pictures, films or a page of a run that is on disk"
+    )
     _add_common(render, is_command=True)
     if "render" in given:
         from simulator import render as render_module  # noqa: PLC0415  # same
 
         render_module.add_arguments(render)
-    replay = commands.add_parser("replay", help="let a recorded run happen again behind a virtual coordinator")
+    replay = commands.add_parser(
+        "replay", usage="%(prog)s [OPTION ...] DIR|FILE.csv", help="let a recorded run happen again behind a virtual coordinator"
+    )
     _add_common(replay, is_command=True)
     if "replay" in given:
         from simulator import replay as replay_module  # noqa: PLC0415  # as above

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId
-from simulator.backpack import BackpackConfig
+from simulator.backpack_config import BackpackConfig
 from simulator.carrier import Carrier, open_line
 from simulator.clock import Clock
 from simulator.coverage import CoverageConfig
@@ -27,7 +27,8 @@ from simulator.replay_config import ReplayConfig
 from simulator.response import ResponseConfig
 from simulator.sensing import SensingConfig
 from simulator.serve_config import ServeConfig
-from simulator.swarm import Swarm, SwarmConfig
+from simulator.swarm import Swarm
+from simulator.swarm_config import SwarmConfig
 from simulator.watch import Watch
 
 log = EventLog(__name__)

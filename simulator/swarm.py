@@ -8,32 +8,25 @@ import dataclasses
 import heapq
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 from firmware_protocol.envelope import RadioReceived
 from firmware_protocol.messages import EncounterBatch, WireCause, WireMode
-from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId
-from simulator import chance
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
 from simulator.air import Air, DownlinkArrival, SendingDone, UplinkArrival
-from simulator.backpack import MAX_NODE, Acknowledged, Backpack, BackpackConfig, Effect, Transmission
-from simulator.clock import BackpackClock, DriftingClock
+from simulator.backpack import MAX_NODE, Acknowledged, Backpack, Effect, Transmission
 from simulator.coordinator import Coordinator, CoordinatorConfig
 from simulator.coverage import Coverage, CoverageConfig, Place, spread_places
 from simulator.errors import ParameterError
 from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.habitat import Habitat
 from simulator.live_sensing import LiveSensing
-from simulator.radio import Radio, RadioConfig, lqi
+from simulator.radio import Radio, lqi
 from simulator.reports import ReportLog
-from simulator.response import ResponseConfig
 from simulator.sensing import SensingConfig
 from simulator.steering import ExecutedActuation, Steering
 from simulator.stimulator import Actuation
 from simulator.surroundings import Surroundings
-from simulator.wandering_clock import WanderingClock
-
-_CLOCK_STREAM = 220
-_DRIFT_STREAM = 221
+from simulator.swarm_config import SwarmConfig, draw_clock
 
 _TICK_NS = 50 * NS_PER_MS
 _LONGEST_STEP_NS = 200 * NS_PER_MS
@@ -46,49 +39,6 @@ _EUI64_BASE = 0x00124B0000000000  # Texas Instruments' number
 
 _WIRE_MODE = {Mode.CRW: WireMode.CRW, Mode.S: WireMode.S}
 _WIRE_CAUSE = {Cause.NATURAL: WireCause.NATURAL, Cause.COMMAND: WireCause.COMMAND}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SwarmConfig:
-    """How the backpacks are made.
-
-    Parameters
-    ----------
-    seed, boot
-        For all draws; the count of starts that every backpack has reached.
-    drift_ppm
-        Clocks run too fast or too slow by up to this, drawn uniformly for each; crystals differ by about 10 ppm [Mar04].
-    wander_ppm
-        Their rates wander from that by up to this, in steps of a minute.
-    switched_on_s
-        Each backpack was switched on up to this long before the run, drawn uniformly [s].
-    coverage
-        The coordinators; None: one in the middle that is heard everywhere.
-    response, metres_per_unit, speed_factor
-        How insects respond to trains; the world's unit of length [m] and how much faster than life its insects live, for that.
-    keeps_history
-        False: what was done to insects and reported of them is counted only, for runs without end of which nobody asks.
-    sensing
-        How encounters are formed from beacons; None: they are exact.
-
-    References
-    ----------
-    [Mar04] M. Maroti, B. Kusy, G. Simon, A. Ledeczi, "The flooding time synchronization protocol", SenSys 2004.
-    """
-
-    seed: int
-    boot: BootId
-    drift_ppm: float = 20.0
-    wander_ppm: float = 0.0
-    switched_on_s: float = 60.0
-    backpack: BackpackConfig = field(default_factory=BackpackConfig)
-    radio: RadioConfig = field(default_factory=RadioConfig)
-    coverage: CoverageConfig | None = None
-    response: ResponseConfig = field(default_factory=ResponseConfig)
-    metres_per_unit: float = 1.0
-    speed_factor: float = 1.0
-    keeps_history: bool = True
-    sensing: SensingConfig | None = None
 
 
 class Swarm:
@@ -127,7 +77,7 @@ class Swarm:
         self._radio = Radio(seed=config.seed, config=config.radio)
         self._nodes = [NodeId(one) for one in world.ids]
         self._surroundings = Surroundings(world, nodes=self._nodes, radio=self._radio)
-        self._clocks = {node: _draw_clock(node, config) for node in self._nodes}
+        self._clocks = {node: draw_clock(node, config) for node in self._nodes}
         self._backpacks = {node: self._make_backpack(node, config) for node in self._nodes}
         self._air = Air(self._nodes, radio=self._radio, seed=config.seed)
         self._offered: dict[int, tuple[NodeId, RadioReceived]] = {}
@@ -443,13 +393,3 @@ def _make_coordinator(index: int) -> Coordinator:
     if index == 0:
         return Coordinator(config=plain)
     return Coordinator(config=dataclasses.replace(plain, eui64=plain.eui64 + 0x10000 + index, pan_id=plain.pan_id + index))
-
-
-def _draw_clock(node: NodeId, config: SwarmConfig) -> BackpackClock:
-    since_boot = chance.uniform(seed=config.seed, biobot=node, stream=_CLOCK_STREAM, index=0)
-    drift = 2 * chance.uniform(seed=config.seed, biobot=node, stream=_DRIFT_STREAM, index=0) - 1
-    start_ms, drift_ppb = int(since_boot * config.switched_on_s * 1000), round(drift * config.drift_ppm * 1000)
-    if not config.wander_ppm:
-        return DriftingClock(start_ms=start_ms, drift_ppb=drift_ppb)
-    wander_ppb = round(config.wander_ppm * 1000)
-    return WanderingClock(start_ms=start_ms, drift_ppb=drift_ppb, wander_ppb=wander_ppb, seed=config.seed, node=node)

@@ -8,41 +8,25 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from simulator import draws
 from simulator.arena import Arena
 from simulator.config import Ranges
 from simulator.engine import Engine
-from simulator.engine.binding import EVENT, KIND_BEGIN, KIND_END, KIND_MODE
 from simulator.engine.engine import Records
 from simulator.errors import ParameterError, SnapshotError, TimeError, UnknownBiobotError
-from simulator.events import (
-    BackpackSilenced,
-    Cause,
-    EncounterBegan,
-    EncounterEnded,
-    EncounterTable,
-    Event,
-    Happenings,
-    Mode,
-    ModeChanged,
-    SilenceReason,
-)
-from simulator.legs import Floats, Indices, Legs, in_order, join, locate
+from simulator.events import Cause, EncounterBegan, Event, Happenings, Mode
+from simulator.failures import draw_failures
+from simulator.legs import Floats, Indices, Legs, locate
 from simulator.motion import MotionParameters
+from simulator.past import Past, to_legs
 from simulator.recipe import engine_config
 from simulator.snapshot import WorldParts, pack, unpack
-
-_LOSS_STREAM = 20
-_BATTERY_STREAM = 21
+from simulator.telling import CAUSES, MODES, tell_events, tell_run
 
 # Steps of the engine between two reports of progress, about a tenth of a second's work.
 _STEPS_AT_ONCE = 200_000
 _FIRST_WINDOW_S = 1.0
-_MODES = (Mode.CRW, Mode.S)
-_CAUSES = (Cause.NATURAL, Cause.COMMAND)
 
 
 class World:
@@ -119,13 +103,11 @@ class World:
         self._row = {one: row for row, one in enumerate(self._ids)}
         self._now_s = 0.0
         self._torus = torus
-        self._keeps_legs = keeps_legs
-        self._past: list[Legs] = []
-        self._known_legs: Legs | None = None
+        self._past = Past(keeps=keeps_legs)
         self._window_s = _FIRST_WINDOW_S
         keys = np.array(self._ids, dtype=np.uint64)
         moved = motion.faster(speed_factor)
-        lost_s, flat_s = _draw_failures(moved, seed=seed, keys=keys)
+        lost_s, flat_s = draw_failures(moved, seed=seed, keys=keys)
         self._lost_first = lost_s <= flat_s
         self._engine = Engine(
             engine_config(moved, ranges, seed=seed, period=arena.bounds[2] - arena.bounds[0] if torus else 0.0),
@@ -182,16 +164,12 @@ class World:
         TimeError
             ``until_s`` is before ``now_s`` or not finite.
         """
-        return [event for records in self._run(until_s, progress) for event in self._read(records)]
+        told = (tell_events(records, ids=self._ids, lost_first=self._lost_first) for records in self._run(until_s, progress))
+        return [event for events in told for event in events]
 
     def run(self, until_s: float, *, progress: Callable[[float], None] | None = None) -> Happenings:
         """Let time run as ``advance`` does, and return the encounters that ended as columns: for runs with many."""
-        parts = list(self._run(until_s, progress))
-        ends = np.concatenate([records[records["kind"] == KIND_END] for records in parts]) if parts else np.empty(0, dtype=EVENT)
-        others = [event for records in parts for event in self._read(records[_is_change(records)])]
-        ids = np.array(self._ids, dtype=np.int64)
-        table = EncounterTable(id1=ids[ends["first"]], id2=ids[ends["second"]], t_start_s=ends["met_s"].copy(), t_end_s=ends["t_s"].copy())
-        return Happenings(ended=table, changes=[one for one in others if isinstance(one, ModeChanged | BackpackSilenced)])
+        return tell_run(list(self._run(until_s, progress)), ids=self._ids, lost_first=self._lost_first)
 
     def stop(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
         """Make a biobot stand still from now on; return whether its mode or cause changed.
@@ -204,7 +182,7 @@ class World:
         if mode is Mode.S and (present is cause or cause is Cause.NATURAL):
             return False
         self._engine.stop(row, is_command=cause is Cause.COMMAND, at_s=self._now_s)
-        self._gather_legs()
+        self._past.add(self._engine.take_legs())
         return True
 
     def start(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
@@ -217,7 +195,7 @@ class World:
         if self._state(row)[0] is Mode.CRW:
             return False
         changed = self._engine.go(row, is_command=cause is Cause.COMMAND, at_s=self._now_s)
-        self._gather_legs()
+        self._past.add(self._engine.take_legs())
         return changed
 
     def turn(self, biobot_id: int, angle_rad: float) -> bool:
@@ -252,7 +230,7 @@ class World:
         places = arena.nearest_room(self.positions())
         self._engine.replace_walls(arena, places=places, at_s=self._now_s)
         self._arena = arena
-        self._gather_legs()
+        self._past.add(self._engine.take_legs())
 
     def mode(self, biobot_id: int) -> Mode:
         """Return the present mode of a biobot."""
@@ -260,7 +238,7 @@ class World:
 
     def modes(self) -> list[Mode]:
         """Return the present mode of every biobot, in the order of ``ids``."""
-        return [_MODES[still] for still in self._engine.modes()[0].tolist()]
+        return [MODES[still] for still in self._engine.modes()[0].tolist()]
 
     def position(self, biobot_id: int, *, at_s: float | None = None) -> tuple[float, float]:
         """Return where a biobot is [length], or was at ``at_s`` [s]."""
@@ -273,7 +251,7 @@ class World:
         if at_s is not None and at_s != self._now_s:
             past: Floats = self.positions_at([at_s])[0]
             return past
-        places: Floats = np.column_stack(_to_legs(self._engine.current_legs()).at(self._now_s))
+        places: Floats = np.column_stack(to_legs(self._engine.current_legs()).at(self._now_s))
         return places
 
     def positions_at(self, t_s: Sequence[float] | Floats) -> Floats:
@@ -315,14 +293,7 @@ class World:
 
     def legs(self) -> Legs:
         """Return every leg so far, by biobot, then start; those under way end now. Raises ParameterError where legs are not kept."""
-        if not self._keeps_legs:
-            raise ParameterError(name="keeps_legs", got=False, wanted="True, for places in the past to be told")
-        if self._known_legs is None:
-            current = self._engine.current_legs()
-            current["t_end_s"] = np.minimum(current["t_end_s"], self._now_s)
-            self._past = [join(self._past)] if self._past else []
-            self._known_legs = in_order(join([*self._past, _to_legs(current)]))
-        return self._known_legs
+        return self._past.legs(self._engine.current_legs(), now_s=self._now_s)
 
     def neighbours(self, biobot_id: int) -> set[int]:
         """Return the ids within the communication radius now, without its own; walls do not hinder radio."""
@@ -348,16 +319,15 @@ class World:
 
     def snapshot(self) -> bytes:
         """Return all there is to know, so that ``restore`` goes on as if nothing had been: same events, bit for bit."""
-        legs = join(self._past) if self._past else None
         parts = WorldParts(
             engine=self._engine.save(),
-            legs=legs,
+            legs=self._past.completed(),
             ids=np.array(self._ids, dtype=np.int64),
             lost_first=self._lost_first,
             now_s=self._now_s,
             ranges=self._ranges,
             is_torus=self._torus,
-            keeps_legs=self._keeps_legs,
+            keeps_legs=self._past.keeps,
             arena=self._arena,
         )
         return pack(parts)
@@ -377,9 +347,7 @@ class World:
         self._row = {one: row for row, one in enumerate(self._ids)}
         self._now_s = parts.now_s
         self._torus = parts.is_torus
-        self._keeps_legs = parts.keeps_legs
-        self._past = [] if parts.legs is None else [parts.legs]
-        self._known_legs = None
+        self._past = Past(keeps=parts.keeps_legs, completed=parts.legs)
         self._window_s = _FIRST_WINDOW_S
         self._lost_first = parts.lost_first
         try:
@@ -400,40 +368,21 @@ class World:
             if steps > _STEPS_AT_ONCE or end_s < until_s:
                 self._window_s *= min(4.0, max(0.25, _STEPS_AT_ONCE / max(1, steps)))
             self._now_s = end_s
-            self._gather_legs()
+            self._past.add(self._engine.take_legs())
             yield self._engine.take_events()
             if progress is not None:
                 progress(end_s)
-
-    def _gather_legs(self) -> None:
-        self._known_legs = None
-        legs = self._engine.take_legs()
-        if self._keeps_legs and legs.size:
-            self._past.append(_to_legs(legs))
-
-    def _read(self, records: Records) -> Iterator[Event]:
-        ids = self._ids
-        for t_s, met_s, kind, first, second, cause in records.tolist():
-            if kind == KIND_BEGIN:
-                yield EncounterBegan(t_s=t_s, id1=ids[first], id2=ids[second])
-            elif kind == KIND_END:
-                yield EncounterEnded(t_start_s=met_s, t_end_s=t_s, id1=ids[first], id2=ids[second])
-            elif kind == KIND_MODE:
-                yield ModeChanged(t_s=t_s, id=ids[first], mode=_MODES[second], cause=_CAUSES[cause])
-            else:
-                reason = SilenceReason.LOST if self._lost_first[first] else SilenceReason.BATTERY
-                yield BackpackSilenced(t_s=t_s, id=ids[first], reason=reason)
 
     def _steer(self, biobot_id: int, *, turns: float, distance: float) -> bool:
         if not math.isfinite(turns):
             raise ParameterError(name="angle_rad", got=turns, wanted="a finite angle")
         moved = self._engine.turn(self._find(biobot_id), turns=turns, distance=distance, at_s=self._now_s)
-        self._gather_legs()
+        self._past.add(self._engine.take_legs())
         return moved
 
     def _state(self, row: int) -> tuple[Mode, Cause]:
         still, cause = self._engine.modes()
-        return _MODES[int(still[row])], _CAUSES[int(cause[row])]
+        return MODES[int(still[row])], CAUSES[int(cause[row])]
 
     def _places(self, rows: Indices, times: Floats) -> Floats:
         legs = self.legs()
@@ -450,24 +399,3 @@ class World:
         if row is None:
             raise UnknownBiobotError(biobot_id=biobot_id, first=self._ids[0], last=self._ids[-1], count=len(self._ids))
         return row
-
-
-def _is_change(records: Records) -> NDArray[np.bool_]:
-    return np.asarray((records["kind"] != KIND_BEGIN) & (records["kind"] != KIND_END))
-
-
-def _to_legs(records: Records) -> Legs:
-    columns = {name: records[name].copy() for name in ("t_start_s", "t_end_s", "x", "y", "vx", "vy")}
-    return Legs(biobot=records["row"].copy(), **columns)
-
-
-def _draw_failures(motion: MotionParameters, *, seed: int, keys: NDArray[np.uint64]) -> tuple[Floats, Floats]:
-    """Draw when each backpack is lost, and when its battery is flat [s], shape (n,) each; inf for never."""
-    first = np.zeros(keys.size, dtype=np.uint64)
-    lost_s, flat_s = np.full(keys.size, np.inf), np.full(keys.size, np.inf)
-    if motion.loss_hazard > 0.0:
-        lost_s = draws.exponential(draws.words(seed=seed, biobot=keys, stream=_LOSS_STREAM, index=first)) / motion.loss_hazard
-    if motion.battery_life_s is not None:
-        share = draws.uniform(draws.words(seed=seed, biobot=keys, stream=_BATTERY_STREAM, index=first))
-        flat_s = motion.battery_life_s * (1.0 + motion.battery_spread * (2.0 * share - 1.0))
-    return lost_s, flat_s

@@ -29,7 +29,8 @@ from firmware_protocol.messages import (
     WireMode,
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
-from simulator.backpack import Backpack, BackpackConfig, Effect, Transmission
+from simulator.backpack import Backpack, Effect, Transmission
+from simulator.backpack_config import BackpackConfig
 from simulator.errors import ParameterError
 from simulator.outbox import Outbox, OutboxConfig
 from simulator.stimulator import Actuation

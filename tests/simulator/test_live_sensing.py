@@ -8,7 +8,8 @@ import pytest
 
 from firmware_protocol.messages import MAX_ENCOUNTER_MS, EncounterBatch, EncounterEntry, Hello
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId, RssiDbm
-from simulator.backpack import Backpack, BackpackConfig, Transmission
+from simulator.backpack import Backpack, Transmission
+from simulator.backpack_config import BackpackConfig
 from simulator.clock import DriftingClock
 from simulator.config import Ranges
 from simulator.errors import ParameterError
@@ -19,7 +20,8 @@ from simulator.paths import Paths
 from simulator.proximity import ProximityConfig, unite
 from simulator.radio import RadioConfig
 from simulator.sensing import SensingConfig, sense
-from simulator.swarm import Swarm, SwarmConfig
+from simulator.swarm import Swarm
+from simulator.swarm_config import SwarmConfig
 from simulator.truth import TruthRecorder
 from simulator.world import World
 from tests.simulator.arenas import square

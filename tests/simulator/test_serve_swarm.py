@@ -21,7 +21,8 @@ from simulator.errors import ParameterError
 from simulator.events import EncounterEnded, Event, ModeChanged
 from simulator.motion import MotionParameters
 from simulator.radio import RadioConfig
-from simulator.swarm import Swarm, SwarmConfig
+from simulator.swarm import Swarm
+from simulator.swarm_config import SwarmConfig
 from simulator.world import World
 from tests.simulator.arenas import square
 from tests.simulator.base_station import BaseStation, a_command

@@ -9,7 +9,8 @@ from simulator.coverage import CoverageConfig
 from simulator.events import BackpackSilenced, Event, ModeChanged, SilenceReason
 from simulator.radio import RadioConfig
 from simulator.response import ResponseConfig
-from simulator.swarm import Swarm, SwarmConfig
+from simulator.swarm import Swarm
+from simulator.swarm_config import SwarmConfig
 from tests.simulator.base_station import BaseStation, a_command
 from tests.simulator.fake_habitat import ScriptedWorld
 

@@ -1,0 +1,60 @@
+"""The past of a world: every leg of every insect, kept as it ends."""
+
+import numpy as np
+
+from simulator.engine.engine import Records
+from simulator.errors import ParameterError
+from simulator.legs import Legs, in_order, join
+
+
+class Past:
+    """Legs that are over, in the order of their ends; 56 bytes each.
+
+    Parameters
+    ----------
+    keeps
+        False: they are forgotten at once, for worlds without end.
+    completed
+        Those of an earlier part of the run.
+    """
+
+    __slots__ = ("_known", "_parts", "keeps")
+
+    def __init__(self, *, keeps: bool, completed: Legs | None = None) -> None:
+        self.keeps = keeps
+        self._parts = [] if completed is None else [completed]
+        self._known: tuple[float, Legs] | None = None
+
+    def add(self, records: Records) -> None:
+        """Take in legs that have just ended."""
+        if records.size:
+            self._known = None
+            if self.keeps:
+                self._parts.append(to_legs(records))
+
+    def completed(self) -> Legs | None:
+        """Return all legs that are over, or None where there are none."""
+        self._parts = [join(self._parts)] if self._parts else []
+        return self._parts[0] if self._parts else None
+
+    def legs(self, current: Records, *, now_s: float) -> Legs:
+        """Return all legs by biobot, then start; the ``current`` ones, under way, end at ``now_s`` [s].
+
+        Raises
+        ------
+        ParameterError
+            They are not kept.
+        """
+        if not self.keeps:
+            raise ParameterError(name="keeps_legs", got=False, wanted="True, for places in the past to be told")
+        if self._known is None or self._known[0] != now_s:
+            current["t_end_s"] = np.minimum(current["t_end_s"], now_s)
+            completed = self.completed()
+            self._known = now_s, in_order(join([*([] if completed is None else [completed]), to_legs(current)]))
+        return self._known[1]
+
+
+def to_legs(records: Records) -> Legs:
+    """Make legs of the engine's records."""
+    columns = {name: records[name].copy() for name in ("t_start_s", "t_end_s", "x", "y", "vx", "vy")}
+    return Legs(biobot=records["row"].copy(), **columns)
