@@ -8,6 +8,7 @@ hops away from those before it as can be; of a graph in several clusters, each c
 
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
+from heapq import heapify, heappop, heappush
 
 from firmware_protocol.errors import LandmarkCountError
 
@@ -84,12 +85,29 @@ def _pick_in_cluster(links: Mapping[int, set[int]], cluster: Sequence[int], *, c
         return []
     picks = [cluster[0]]
     to_nearest = _hops_from(links, cluster[0])
+    # Hops only ever fall, so an entry that no longer holds is passed over; each node was pushed again when it fell.
+    furthest = [(-hops, node) for node, hops in to_nearest.items()]
+    heapify(furthest)
     while len(picks) < count:
-        pick = min(cluster, key=lambda node: (-to_nearest[node], node))
-        picks.append(pick)
-        for node, hops in _hops_from(links, pick).items():
-            to_nearest[node] = min(to_nearest[node], hops)
+        hops, node = heappop(furthest)
+        if -hops == to_nearest[node]:
+            picks.append(node)
+            for nearer in _come_nearer(links, node, to_nearest):
+                heappush(furthest, (-to_nearest[nearer], nearer))
     return picks
+
+
+def _come_nearer(links: Mapping[int, set[int]], pick: int, to_nearest: dict[int, int]) -> list[int]:
+    """Lower the hops to the nearest pick where a new one is nearer, and return where it is: the search ends where it is not."""
+    to_nearest[pick] = 0
+    nearer = [pick]
+    for node in nearer:  # grows while it is walked, breadth first
+        hops = to_nearest[node] + 1
+        for other in links[node]:
+            if hops < to_nearest[other]:
+                to_nearest[other] = hops
+                nearer.append(other)
+    return nearer
 
 
 def _hops_from(links: Mapping[int, set[int]], origin: int) -> dict[int, int]:
