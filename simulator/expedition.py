@@ -1,6 +1,5 @@
 """An expedition: dispersion, landmark selection, exploration; something that can be put on disk in the middle and taken up again."""
 
-import hashlib
 from collections.abc import Callable, Mapping
 from functools import partial
 
@@ -12,6 +11,7 @@ from simulator.errors import SnapshotError
 from simulator.sensed_run import SensedRun, sense_run
 from simulator.sensing import SensingConfig
 from simulator.setting import Setting, choose_setting
+from simulator.snapshot import seal, unseal
 from simulator.truth import RecorderState, TruthRecorder
 from simulator.world import World
 
@@ -83,8 +83,7 @@ class Expedition:
         saved = _Saved(
             config=self.config, world=self.world.snapshot(), recorder=self.recorder.state(), landmarks=self.landmarks, n_done=self._n_done
         )
-        body = msgspec.msgpack.encode(saved)
-        return _MARK + hashlib.sha256(body).digest() + body
+        return seal(msgspec.msgpack.encode(saved), mark=_MARK)
 
     @classmethod
     def resume(cls, content: bytes, *, source: str) -> "Expedition":
@@ -97,12 +96,7 @@ class Expedition:
         ConfigurationError, SimulationError
             The arena file it began with is gone or has changed for the worse.
         """
-        start = len(_MARK) + hashlib.sha256().digest_size
-        if not content.startswith(_MARK):
-            raise SnapshotError(source=source, problem="it does not begin as a snapshot of a run")
-        body = content[start:]
-        if hashlib.sha256(body).digest() != content[len(_MARK) : start]:
-            raise SnapshotError(source=source, problem="it is damaged or cut short: its checksum does not fit")
+        body = unseal(content, mark=_MARK, source=source)
         try:
             saved = msgspec.msgpack.decode(body, type=_Saved)
         except msgspec.DecodeError as error:

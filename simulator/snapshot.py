@@ -54,18 +54,12 @@ def pack(parts: WorldParts) -> bytes:
         arrays |= {f"leg_{name}": getattr(parts.legs, name) for name in LEG_FIELDS}
     archive = io.BytesIO()
     np.savez(archive, **arrays)  # type: ignore[arg-type]  # the stubs take every keyword for allow_pickle
-    body = archive.getvalue()
-    return _MARK + hashlib.sha256(body).digest() + body
+    return seal(archive.getvalue(), mark=_MARK)
 
 
 def unpack(content: bytes, *, source: str) -> WorldParts:
     """Read a snapshot; ``source`` names it in messages. Raises SnapshotError."""
-    start = len(_MARK) + hashlib.sha256().digest_size
-    if not content.startswith(_MARK):
-        raise SnapshotError(source=source, problem="it does not begin as one")
-    body = content[start:]
-    if hashlib.sha256(body).digest() != content[len(_MARK) : start]:
-        raise SnapshotError(source=source, problem="it is damaged or cut short: its checksum does not fit")
+    body = unseal(content, mark=_MARK, source=source)
     try:
         with np.load(io.BytesIO(body), allow_pickle=False) as archive:
             arrays = dict(archive)
@@ -86,3 +80,19 @@ def unpack(content: bytes, *, source: str) -> WorldParts:
         keeps_legs=head["keeps_legs"],
         arena=build_arena(shape, source=source),
     )
+
+
+def seal(body: bytes, *, mark: bytes) -> bytes:
+    """Put a mark and a checksum before some bytes."""
+    return mark + hashlib.sha256(body).digest() + body
+
+
+def unseal(content: bytes, *, mark: bytes, source: str) -> bytes:
+    """Return what was sealed with this mark; ``source`` names it in messages. Raises SnapshotError."""
+    start = len(mark) + hashlib.sha256().digest_size
+    if not content.startswith(mark):
+        raise SnapshotError(source=source, problem=f"it does not begin as a snapshot does, with {mark.decode().strip()!r}")
+    body = content[start:]
+    if hashlib.sha256(body).digest() != content[len(mark) : start]:
+        raise SnapshotError(source=source, problem="it is damaged or cut short: its checksum does not fit")
+    return body

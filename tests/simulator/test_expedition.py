@@ -87,7 +87,7 @@ def test_a_killed_run_goes_on_from_its_snapshot(tmp_path: Path, whole: Path, num
 
 def test_what_is_no_snapshot_is_told_with_its_name(tmp_path: Path) -> None:
     (tmp_path / "old").write_bytes(b"something else")
-    for name, problem in (("old", "does not begin as a snapshot"), ("none", "cannot be read: No such file")):
+    for name, problem in (("old", "does not begin as a snapshot does"), ("none", "cannot be read: No such file")):
         done = subprocess.run(
             [sys.executable, "-m", "simulator", "resume", str(tmp_path / name)], capture_output=True, text=True, check=False
         )
