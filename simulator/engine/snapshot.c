@@ -8,7 +8,7 @@ typedef struct {
 } tape;
 
 static void pass(tape *tape, void *place, int64_t size) {
-    if (tape->at + size <= tape->room) {
+    if (size > 0 && tape->at + size <= tape->room) { /* an empty array has no place, not even for no bytes */
         if (tape->write) memcpy(tape->write + tape->at, place, (size_t)size);
         if (tape->read) memcpy(place, tape->read + tape->at, (size_t)size);
     }
