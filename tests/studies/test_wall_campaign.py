@@ -1,17 +1,22 @@
 """Laws of the campaign against walls: arenas are as nasty as they should be, insects stay in, and one that did not would be told."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from shapely.geometry import Polygon, box
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from shapely.geometry import MultiPolygon, Point, Polygon, box
 
 from simulator.arena import build_arena
+from simulator.errors import ArenaError
 from simulator.legs import Legs
+from simulator.world import World
 from studies.errors import CampaignFileError
 from studies.nasty_arenas import Nastiness, draw_nasty_arena
-from studies.wall_campaign import Progress, find_escapes, load_progress, main, run_world, store_progress
+from studies.wall_campaign import Progress, find_escapes, load_progress, main, make_world, run_world, store_progress
 
 
 def test_insects_stay_in_every_kind_of_arena_under_every_law() -> None:
@@ -84,3 +89,41 @@ def test_a_campaign_that_cannot_go_on_says_why(tmp_path: Path, capsys: pytest.Ca
     state.write_text("{")
     assert main(["--state", str(state)]) == 1
     assert "give another --state" in capsys.readouterr().err
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10_000), st.data())
+def test_no_command_and_no_new_wall_lets_an_insect_out(number: int, data: st.DataObject) -> None:
+    world, kind, _ = make_world(3, number)
+    assume(kind != Nastiness.NARROW_GAPS)  # reflected to and fro in a crack, one insect makes millions of legs a second
+    extent = max(world.arena.bounds[2] - world.arena.bounds[0], world.arena.bounds[3] - world.arena.bounds[1])
+    built_s = 0.0
+    for _ in range(12):
+        world.advance(world.now_s + data.draw(st.floats(0.0, 0.5)))
+        one = data.draw(st.integers(1, 64))
+        match data.draw(st.sampled_from(["turn", "run", "stop", "start", "silence", "restore", "build"])):
+            case "turn":
+                world.turn(one, data.draw(st.floats(-7.0, 7.0)))
+            case "run":
+                world.run_straight(one, extent * data.draw(st.floats(1e-6, 3.0)))
+            case "stop":
+                world.stop(one)
+            case "start":
+                world.start(one)
+            case "silence":
+                world.silence(one)
+            case "restore":
+                world = World.restore(world.snapshot())
+            case _:
+                left = world.arena.polygon.difference(Point(world.position(one)).buffer(extent * data.draw(st.floats(0.001, 0.2))))
+                assert isinstance(left, Polygon | MultiPolygon)
+                assert escapes(world, built_s) == []
+                with suppress(ArenaError):  # what is left is nothing, or too thin to stand in
+                    world.replace_arena(build_arena(left))
+                    built_s = world.now_s
+    assert escapes(world, built_s) == []
+
+
+def escapes(world: World, built_s: float) -> list[str]:
+    legs = world.legs()
+    return find_escapes(world.arena, legs.take(np.flatnonzero(legs.t_start_s >= built_s)), lines_one_in=1)[0]
