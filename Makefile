@@ -45,6 +45,15 @@ system-packages:  ## install Chromium for the browser tests (Debian)
 train: venv  ## train the hole classifier anew on simulated arenas (hours; resumable)
 	$(PY) -m studies.train_classifier $(ARGS)
 
+theory: venv  ## compare motion, meetings and walls with theory, and encounters with brute force (minutes)
+	$(PY) -m studies.motion_theory $(ARGS) && $(PY) -m studies.encounter_check
+
+bench-sim: venv  ## how fast the simulator is on one core, beside Mesa (minutes)
+	$(PY) -m studies.bench_sim $(ARGS)
+
+campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
+	$(PY) -m studies.wall_campaign $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
@@ -55,4 +64,4 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) simulator/engine/*.so build dist demo-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train theory bench-sim campaign-walls lock docker-check clean

@@ -135,7 +135,7 @@ class Arena:
             if not waiting.size:
                 return places
             attempt += n_attempts
-            n_attempts = max(1, _TRIES_AT_ONCE // waiting.size)
+            n_attempts = max(1, min(4 * n_attempts, _TRIES_AT_ONCE // waiting.size))
         raise ArenaError(
             source="arena",
             problem=f"no room found for {waiting.size} of {ids.size} biobots in {_MAX_PLACEMENT_TRIES} tries each; "

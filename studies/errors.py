@@ -56,3 +56,24 @@ class MarkerError(StudyError):
         super().__init__(
             f"{path}: wanted each of the markers {markers[0]!r} and {markers[1]!r} once, in this order; put them where the table goes"
         )
+
+
+class NoArenaError(StudyError):
+    """No valid arena of this kind could be drawn; take another seed."""
+
+    def __init__(self, *, kind: str, tries: int) -> None:
+        super().__init__(f"no valid arena of kind '{kind}' in {tries} tries; take another seed")
+
+
+class EscapeError(StudyError):
+    """An insect left its arena: a fault of the engine, to be reduced to a test."""
+
+    def __init__(self, *, place: str, problem: str, n_found: int) -> None:
+        super().__init__(f"{place}: {problem} ({n_found} such in this world); run this world alone with --first, and mend the engine")
+
+
+class CampaignFileError(StudyError):
+    """The file of an unfinished campaign cannot be taken up: give another one, or remove it."""
+
+    def __init__(self, *, path: Path, problem: str) -> None:
+        super().__init__(f"{path}: {problem}; give another --state FILE, or remove this one")

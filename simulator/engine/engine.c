@@ -52,7 +52,7 @@ engine *engine_create(const engine_config *config, int32_t n, const uint64_t *id
         one->death_left = draw_exponential(e, one, DEATH, 0);
         one->t_own = INFINITY;
         one->place_in_heap = i;
-        e->order[i] = i;
+        e->order[i] = (own_entry){INFINITY, i};
     }
     return e;
 }
@@ -109,8 +109,8 @@ int engine_start(engine *e, double low_x, double low_y, double high_x, double hi
 
 int engine_advance(engine *e, double until_s) {
     for (;;) {
-        int32_t i = e->order[0];
-        double own = e->insect[i].t_own, joint = e->n_pairs ? e->pairs[0].t : INFINITY;
+        int32_t i = (int32_t)e->order[0].i;
+        double own = e->order[0].t, joint = e->n_pairs ? e->pairs[0].t : INFINITY;
         if (!(least(own, joint) < until_s) || e->has_failed) break;
         e->n_steps++;
         if (own <= joint) {

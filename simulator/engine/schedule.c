@@ -41,30 +41,28 @@ void close_leg(engine *e, int32_t i, double t) {
 
 /* ---- heaps ---- */
 
-static int own_before(const engine *e, int32_t i, int32_t j) {
-    const insect *one = &e->insect[i], *other = &e->insect[j];
-    return one->t_own < other->t_own || (one->t_own == other->t_own && i < j);
-}
+static int own_before(const own_entry *one, const own_entry *other) { return one->t < other->t || (one->t == other->t && one->i < other->i); }
 
 void sift(engine *e, int32_t i) {
     int32_t place = e->insect[i].place_in_heap;
+    const own_entry mine = {e->insect[i].t_own, i};
     while (place > 0) {
         int32_t above = (place - 1) / 4;
-        if (!own_before(e, i, e->order[above])) break;
+        if (!own_before(&mine, &e->order[above])) break;
         e->order[place] = e->order[above];
-        e->insect[e->order[place]].place_in_heap = place;
+        e->insect[e->order[place].i].place_in_heap = place;
         place = above;
     }
     for (;;) {
         int32_t child = 4 * place + 1, best = -1;
         for (int32_t k = child; k < child + 4 && k < e->n; k++)
-            if (best < 0 || own_before(e, e->order[k], e->order[best])) best = k;
-        if (best < 0 || !own_before(e, e->order[best], i)) break;
+            if (best < 0 || own_before(&e->order[k], &e->order[best])) best = k;
+        if (best < 0 || !own_before(&e->order[best], &mine)) break;
         e->order[place] = e->order[best];
-        e->insect[e->order[place]].place_in_heap = place;
+        e->insect[e->order[place].i].place_in_heap = place;
         place = best;
     }
-    e->order[place] = i;
+    e->order[place] = mine;
     e->insect[i].place_in_heap = place;
 }
 

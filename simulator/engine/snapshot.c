@@ -8,7 +8,7 @@ typedef struct {
 } tape;
 
 static void pass(tape *tape, void *place, int64_t size) {
-    if (tape->at + size <= tape->room) {
+    if (size > 0 && tape->at + size <= tape->room) { /* an empty array has no place, not even for no bytes */
         if (tape->write) memcpy(tape->write + tape->at, place, (size_t)size);
         if (tape->read) memcpy(place, tape->read + tape->at, (size_t)size);
     }
@@ -40,7 +40,7 @@ static int pass_links(tape *tape, links *all) {
     return 0;
 }
 
-static const uint64_t MARK = 0x62696f626f740001u; /* a word that also tells the byte order, and the version of the layout */
+static const uint64_t MARK = 0x62696f626f740002u; /* a word that also tells the byte order, and the version of the layout */
 
 /* Sizes of what crosses the border, for binding.py to compare with its own. */
 int64_t engine_layout(void) { return (int64_t)(10000 * sizeof(engine_config) + 100 * sizeof(engine_event) + sizeof(engine_leg)); }
@@ -67,7 +67,7 @@ static int pass_all(tape *tape, engine *e) {
     if (tape->read) {
         n_cells = (int64_t)e->columns * e->rows;
         if (tape->at > tape->room || e->n < 1 || n_cells < 1 || n_walls < 0) return -1;
-        if ((e->n + n_cells) * 4 + e->n * (int64_t)sizeof(insect) > tape->room - tape->at) return -1;
+        if (n_cells * 4 + e->n * (int64_t)(sizeof(insect) + sizeof(own_entry)) > tape->room - tape->at) return -1;
         e->insect = calloc((size_t)e->n, sizeof *e->insect);
         e->order = calloc((size_t)e->n, sizeof *e->order);
         e->cells = calloc((size_t)n_cells, sizeof *e->cells);

@@ -62,13 +62,19 @@ typedef struct {
     uint32_t version_a, version_b;
 } pair_event;
 
+/* An insect's place in the heap, with its t_own beside it: comparing must not fetch whole insects from memory. */
+typedef struct {
+    double t;
+    int64_t i;
+} own_entry;
+
 struct engine {
     engine_config config;
     int32_t n, columns, rows, has_started;
     double now, cell, low_x, low_y;
     insect *insect;
     int32_t *cells;
-    int32_t *order; /* heap of insects by t_own */
+    own_entry *order; /* heap of insects by t_own */
     pair_event *pairs;
     int64_t n_pairs, room_pairs;
     walls walls;

@@ -11,6 +11,7 @@
 /* Up to this many walls, looking at each is faster than walking through the grid. */
 #define FEW_WALLS 16
 #define MOST_CELLS 4000000.0
+#define DEEP (1.0 - 1e-6)
 
 static double least(double a, double b) { return a < b ? a : b; }
 static double most(double a, double b) { return a > b ? a : b; }
@@ -120,9 +121,11 @@ static double length_to_face(const walls *all, const wall *one, const ray *from)
     if (!(climb < 0.0) || !(height >= 0.0)) return INFINITY;
     double length = (height - all->margin) / -climb;
     if (!(length > 0.0)) length = 0.0;
-    /* One margin further at both ends, so that a grazing ray cannot slip between a face and its corner by rounding. */
+    /* One margin further at both ends, so that a grazing ray cannot slip between a face and its corner by rounding. Not so from well below
+       the margin: beyond an end the disc alone is in the way there, and a face would hold an insect in a gap narrower than two margins. */
+    double slack = height < DEEP * all->margin ? 0.0 : one->slack;
     double share = ((px + length * from->dx) * one->along_x + (py + length * from->dy) * one->along_y) / one->square;
-    return share >= -one->slack && share <= 1.0 + one->slack ? length : INFINITY;
+    return share >= -slack && share <= 1.0 + slack ? length : INFINITY;
 }
 
 /* How far to the disc around the start of a wall. */

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shapely.geometry import Polygon, box
 
-from simulator.arena import Arena
+from simulator.arena import Arena, build_arena
 from simulator.config import Ranges
 from simulator.errors import SnapshotError
 from simulator.events import BackpackSilenced, EncounterBegan, EncounterEnded, Event, ModeChanged
@@ -158,3 +159,16 @@ def test_a_torus_gives_the_rate_of_kinetic_gas() -> None:
     )  # fmt: skip
     began = sum(isinstance(event, EncounterBegan) and event.t_s > 0 for event in world.advance(100.0))
     assert began == pytest.approx(100 * 4 * 1000 * 999 / (np.pi * 1e4), rel=0.04)
+
+
+def test_the_mouth_of_a_crack_narrower_than_two_margins_holds_nobody() -> None:
+    """Followers of a wall come along a corridor of 1e-6 and up a wall to where 6e-9 are left, less than an insect's 2e-8, and turn back."""
+    left = Polygon([(4.0, 2e-9), (6.0, 2e-9), (5.96, 9.0), (4.0, 9.0)])
+    right = box(6.0 + 6e-9, 1e-6, 8.0, 9.0)
+    arena = build_arena(Polygon(box(0, 0, 10, 10).exterior, [left.exterior, right.exterior]))
+    motion = MotionParameters(speed=1.0, mean_leg=20.0, wall_law=WallLaw.FOLLOW, exit_hazard=0.1)
+    world = World(arena, motion=motion, ranges=RANGES, ids=range(1, 41), seed=1)
+    world.run(400.0)
+    legs = world.legs()
+    assert np.count_nonzero((legs.y < 1e-6) & (legs.x > 6) & (legs.x < 8)) > 100
+    assert not ((legs.vx == 0) & (legs.vy == 0)).any()

@@ -200,8 +200,9 @@ def _reach_block(arena: Arena, *, x: Floats, y: Floats, dx: Floats, dy: Floats) 
         to_face = np.maximum((height - arena.margin) / -climb, 0.0)
         # Where along the wall the face is met, as a share of its length.
         share = ((from_corner_x + to_face * dx_) * along_x + (from_corner_y + to_face * dy_) * along_y) / along_squared
-    # One margin further at both ends, so that a grazing ray cannot slip between a face and its corner by rounding.
-    slack = arena.margin / np.sqrt(along_squared)
+    # One margin further at both ends, so that a grazing ray cannot slip between a face and its corner by rounding; not so from well
+    # below the margin, where beyond an end the disc alone is in the way.
+    slack = np.where(height < (1.0 - 1e-6) * arena.margin, 0.0, arena.margin / np.sqrt(along_squared))
     to_face = np.where((climb < 0) & (height >= 0) & (share >= -slack) & (share <= 1 + slack), to_face, np.inf)
     # Every corner is the start of one wall.
     approach = from_corner_x * dx_ + from_corner_y * dy_
