@@ -9,11 +9,13 @@ from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
-from simulator import arena_flags, motion_flags, radio_flags
+from simulator import motion_flags
+from simulator.arenas import arena_flags
 from simulator.config import RunConfig
 from simulator.config_sources import load_config
 from simulator.errors import InterruptedRunError, ParameterError, ScenarioError, SimulationError
 from simulator.log import set_up_logging
+from simulator.radios import radio_flags
 
 _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 
@@ -50,7 +52,7 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
 
         return serve.main(args)
     if args.command == "render":
-        from simulator import render  # noqa: PLC0415
+        from simulator.pictures import render  # noqa: PLC0415
 
         return render.main(args)
     if args.command == "replay":
@@ -71,9 +73,9 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     if args.command == "run" or args.check_config:
         config = load_config(RunConfig, args)
         if args.check_config:
+            from simulator.arenas.scenarios import find_scenario  # noqa: PLC0415
             from simulator.presets import find_preset  # noqa: PLC0415
-            from simulator.radio import choose_radio  # noqa: PLC0415
-            from simulator.scenarios import find_scenario  # noqa: PLC0415
+            from simulator.radios.radio import choose_radio  # noqa: PLC0415
 
             find_preset(config.preset)
             choose_radio(config)
@@ -123,7 +125,7 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     )
     _add_common(render, is_command=True)
     if "render" in given:
-        from simulator import render as render_module  # noqa: PLC0415  # same
+        from simulator.pictures import render as render_module  # noqa: PLC0415  # same
 
         render_module.add_arguments(render)
     replay = commands.add_parser(

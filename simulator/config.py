@@ -8,7 +8,7 @@ import msgspec
 
 from simulator.errors import ParameterError
 from simulator.motion import MotionParameters, WallLaw
-from simulator.radio_keys import RadioKeys
+from simulator.radios.radio_keys import RadioKeys
 
 # Beyond this, a float of seconds rounds more coarsely than insects keep away from walls.
 _MAX_TIME_S = 1e7

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from simulator.arena import ArenaChange
+from simulator.arenas.arena import ArenaChange
 from simulator.log import EventLog
 from simulator.setting import Setting
 from simulator.world import World

@@ -8,8 +8,8 @@ import msgspec
 from firmware_protocol.landmarks import select_landmarks
 from simulator.config import RunConfig
 from simulator.errors import SnapshotError
+from simulator.radios.sensing import SensingConfig
 from simulator.sensed_run import SensedRun, sense_run
-from simulator.sensing import SensingConfig
 from simulator.setting import Setting, choose_setting
 from simulator.snapshot import seal, unseal
 from simulator.truth import RecorderState, TruthRecorder

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.events import Cause, EncounterBegan, Event, Mode
 from simulator.legs import Floats, Indices

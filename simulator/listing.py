@@ -4,9 +4,9 @@ import json
 import math
 from dataclasses import asdict
 
+from simulator.arenas.scenarios import SCENARIOS
 from simulator.presets import DEFAULT_PRESET, PRESETS
-from simulator.radio import RADIO_PRESETS
-from simulator.scenarios import SCENARIOS
+from simulator.radios.radio import RADIO_PRESETS
 
 
 def list_scenarios(*, as_json: bool) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.errors import ParameterError, TimeError, UnknownBiobotError
 from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
+from simulator.arenas.geojson import load_arena
 from simulator.config import Ranges
 from simulator.errors import ParameterError, RecordingError
 from simulator.events import Cause, Mode
-from simulator.geojson import load_arena
 from simulator.legs import Floats
 
 ENCOUNTER_COLUMNS = ("t_start_s", "t_end_s", "id1", "id2")

@@ -8,13 +8,13 @@ from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
-from simulator.backpack import MAX_NODE
+from simulator.backpacks.backpack import MAX_NODE
 from simulator.clock import WallClock
 from simulator.config_sources import load_config
-from simulator.coverage import CoverageConfig, spread_places
 from simulator.errors import ParameterError
 from simulator.log import EventLog, set_up_logging
-from simulator.radio import RadioConfig
+from simulator.radios.coverage import CoverageConfig, spread_places
+from simulator.radios.radio import RadioConfig
 from simulator.recorded_world import RecordedWorld
 from simulator.recording import load_recording
 from simulator.replay_config import ReplayConfig

@@ -14,8 +14,8 @@ from simulator.errors import InterruptedRunError, OutputError, SnapshotError
 from simulator.expedition import Expedition
 from simulator.log import EventLog
 from simulator.output import OutputDirectory, write_whole
+from simulator.pictures.watch import Watch
 from simulator.sensed_run import sensing_config
-from simulator.watch import Watch
 
 log = EventLog(__name__)
 

@@ -5,12 +5,12 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
-from simulator.arena import Arena
-from simulator.fidelity import Encounter, compare
-from simulator.paths import Paths
-from simulator.radio import choose_radio
-from simulator.radio_keys import RadioKeys
-from simulator.sensing import AirReport, Observation, SensingConfig, sense
+from simulator.arenas.arena import Arena
+from simulator.radios.fidelity import Encounter, compare
+from simulator.radios.paths import Paths
+from simulator.radios.radio import choose_radio
+from simulator.radios.radio_keys import RadioKeys
+from simulator.radios.sensing import AirReport, Observation, SensingConfig, sense
 from simulator.setting import Setting
 from simulator.world import World
 

@@ -10,26 +10,28 @@ from pathlib import Path
 
 import msgspec
 
-from simulator import arena_flags, motion_flags, radio_flags
+from simulator import motion_flags
+from simulator.arenas import arena_flags
+from simulator.arenas.scenarios import find_scenario
 from simulator.clock import WallClock
 from simulator.config_sources import load_config
-from simulator.coverage import CoverageConfig, spread_places
 from simulator.doors import Doors
 from simulator.errors import ParameterError
 from simulator.events import Event
-from simulator.line import EXAMPLES, LineSpec, parse_line
+from simulator.lines.line import EXAMPLES, LineSpec, parse_line
 from simulator.log import EventLog, set_up_logging
 from simulator.output import OutputDirectory
+from simulator.pictures.watch import Watch
 from simulator.presets import find_preset
-from simulator.radio import choose_radio
-from simulator.scenarios import find_scenario
+from simulator.radios import radio_flags
+from simulator.radios.coverage import CoverageConfig, spread_places
+from simulator.radios.radio import choose_radio
 from simulator.sensed_run import sensing_config
 from simulator.serve_config import ServeConfig
 from simulator.service import Cast, Service
 from simulator.setting import Setting, choose_setting
 from simulator.truth import TruthRecorder
 from simulator.truth_stream import TruthStream
-from simulator.watch import Watch
 from simulator.world import World
 
 log = EventLog(__name__)

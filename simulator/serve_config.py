@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 
 from simulator.config import WorldConfig
-from simulator.line import parse_line
+from simulator.lines.line import parse_line
 from simulator.response import ResponseConfig
 
 Period = Annotated[float, msgspec.Meta(ge=0.01, le=3_600)]

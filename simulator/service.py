@@ -13,23 +13,23 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId
-from simulator.backpack_config import BackpackConfig
-from simulator.carrier import Carrier, open_line
+from simulator.backpacks.backpack_config import BackpackConfig
 from simulator.clock import Clock
-from simulator.coverage import CoverageConfig
 from simulator.errors import LineError
 from simulator.events import Event
 from simulator.habitat import Habitat
-from simulator.line import LineSpec
+from simulator.lines.carrier import Carrier, open_line
+from simulator.lines.line import LineSpec
 from simulator.log import EventLog
-from simulator.radio import RadioConfig
+from simulator.pictures.watch import Watch
+from simulator.radios.coverage import CoverageConfig
+from simulator.radios.radio import RadioConfig
+from simulator.radios.sensing import SensingConfig
 from simulator.replay_config import ReplayConfig
 from simulator.response import ResponseConfig
-from simulator.sensing import SensingConfig
 from simulator.serve_config import ServeConfig
 from simulator.swarm import Swarm
 from simulator.swarm_config import SwarmConfig
-from simulator.watch import Watch
 
 log = EventLog(__name__)
 

@@ -6,14 +6,14 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
-from simulator.arena import Arena, ArenaChange
-from simulator.arena_file import ArenaFile, load_arena_file
+from simulator.arenas.arena import Arena, ArenaChange
+from simulator.arenas.arena_file import ArenaFile, load_arena_file
+from simulator.arenas.scenarios import find_scenario
 from simulator.config import Ranges, WorldConfig, parse_arena_then
 from simulator.errors import ArenaError, ParameterError
 from simulator.log import EventLog
 from simulator.motion import MotionParameters
 from simulator.presets import Preset, find_preset
-from simulator.scenarios import find_scenario
 
 log = EventLog(__name__)
 

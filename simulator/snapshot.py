@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import MultiPolygon, Polygon
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.config import Ranges
 from simulator.errors import SnapshotError
 from simulator.legs import LEG_FIELDS, Legs

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from firmware_protocol.messages import Action, WireCause, WireMode
 from firmware_protocol.units import NS_PER_S, NodeId
+from simulator.backpacks.stimulator import Actuation
 from simulator.events import Cause
 from simulator.habitat import Habitat
 from simulator.response import Responder, Response, ResponseConfig, Train
-from simulator.stimulator import Actuation
 
 _CAUSE = {WireCause.NATURAL: Cause.NATURAL, WireCause.COMMAND: Cause.COMMAND}
 

@@ -7,7 +7,7 @@ from firmware_protocol.messages import Neighbour
 from firmware_protocol.units import NodeId, RssiDbm
 from simulator.habitat import Habitat
 from simulator.legs import Floats
-from simulator.radio import Radio
+from simulator.radios.radio import Radio
 
 
 class Surroundings:

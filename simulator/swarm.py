@@ -12,19 +12,19 @@ from collections.abc import Callable, Sequence
 from firmware_protocol.envelope import RadioReceived
 from firmware_protocol.messages import EncounterBatch, WireCause, WireMode
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
-from simulator.air import Air, DownlinkArrival, SendingDone, UplinkArrival
-from simulator.backpack import MAX_NODE, Acknowledged, Backpack, Effect, Transmission
+from simulator.backpacks.backpack import MAX_NODE, Acknowledged, Backpack, Effect, Transmission
+from simulator.backpacks.stimulator import Actuation
 from simulator.coordinator import Coordinator, CoordinatorConfig
-from simulator.coverage import Coverage, CoverageConfig, Place, spread_places
 from simulator.errors import ParameterError
 from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.habitat import Habitat
-from simulator.live_sensing import LiveSensing
-from simulator.radio import Radio, lqi
+from simulator.radios.air import Air, DownlinkArrival, SendingDone, UplinkArrival
+from simulator.radios.coverage import Coverage, CoverageConfig, Place, spread_places
+from simulator.radios.live_sensing import LiveSensing
+from simulator.radios.radio import Radio, lqi
+from simulator.radios.sensing import SensingConfig
 from simulator.reports import ReportLog
-from simulator.sensing import SensingConfig
 from simulator.steering import ExecutedActuation, Steering
-from simulator.stimulator import Actuation
 from simulator.surroundings import Surroundings
 from simulator.swarm_config import SwarmConfig, draw_clock
 

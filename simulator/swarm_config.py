@@ -4,12 +4,12 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.units import BootId, NodeId
 from simulator import chance
-from simulator.backpack_config import BackpackConfig
+from simulator.backpacks.backpack_config import BackpackConfig
 from simulator.clock import BackpackClock, DriftingClock
-from simulator.coverage import CoverageConfig
-from simulator.radio import RadioConfig
+from simulator.radios.coverage import CoverageConfig
+from simulator.radios.radio import RadioConfig
+from simulator.radios.sensing import SensingConfig
 from simulator.response import ResponseConfig
-from simulator.sensing import SensingConfig
 from simulator.wandering_clock import WanderingClock
 
 _CLOCK_STREAM = 220

@@ -18,7 +18,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arena import Arena, ArenaChange
+from simulator.arenas.arena import Arena, ArenaChange
+from simulator.arenas.geojson import dump_arena
 from simulator.events import (
     BackpackSilenced,
     Cause,
@@ -31,7 +32,6 @@ from simulator.events import (
     ModeChanged,
     SilenceReason,
 )
-from simulator.geojson import dump_arena
 from simulator.habitat import Habitat
 from simulator.legs import Floats
 from simulator.setting import change_file

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.engine import Engine
 from simulator.engine.engine import Records

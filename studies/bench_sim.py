@@ -15,9 +15,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
+from simulator.arenas.scenarios import find_scenario
 from simulator.presets import Preset, find_preset
-from simulator.scenarios import find_scenario
 from simulator.world import World
 from studies.wall_density import make_disc
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.legs import Floats, Indices, locate
 from simulator.motion import MotionParameters, WallLaw

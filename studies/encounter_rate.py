@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from shapely.geometry import box
 
-from simulator.arena import build_arena
+from simulator.arenas.arena import build_arena
 from simulator.config import Ranges
 from simulator.motion import MotionParameters, WallLaw
 from simulator.world import World

@@ -22,7 +22,7 @@ from mapper.config import RecipeConfig, make_recipe
 from mapper.pipeline import MIN_ENCOUNTERS, compute_map
 from mapper.types import EncounterTable, FloatArray, MapResult, ModeSpell, Recipe
 from mapper.window import make_encounter_table
-from simulator.arena import build_arena
+from simulator.arenas.arena import build_arena
 from simulator.config import Ranges
 from simulator.events import EncounterEnded
 from simulator.motion import MotionParameters

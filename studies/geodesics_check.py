@@ -1,7 +1,7 @@
 """Check the simulator's geodesics against an independent method in every named arena: ``python -m studies.geodesics_check``.
 
-The method shares no code with ``simulator.visibility``: every point and every corner, whether it sticks out or not, are joined wherever
-GEOS says that the line between them is covered by the arena, and shortest paths are looked for in that graph.
+The method shares no code with ``simulator.arenas.visibility``: every point and every corner, whether it sticks out or not, are joined
+wherever GEOS says that the line between them is covered by the arena, and shortest paths are looked for in that graph.
 """
 
 import argparse
@@ -18,10 +18,10 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from shapely import affinity
 
-from simulator.arena import Arena, build_arena
-from simulator.floor_plan import trace
-from simulator.geodesics import Geodesics
-from simulator.scenarios import SCENARIOS
+from simulator.arenas.arena import Arena, build_arena
+from simulator.arenas.floor_plan import trace
+from simulator.arenas.geodesics import Geodesics
+from simulator.arenas.scenarios import SCENARIOS
 
 Floats = NDArray[np.float64]
 

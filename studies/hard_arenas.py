@@ -7,7 +7,7 @@ from types import MappingProxyType
 from shapely.geometry import MultiPolygon, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
 
 
 def cut_out(shape: Polygon | MultiPolygon, *holes: Polygon) -> Polygon | MultiPolygon:

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 from shapely.geometry import box
 
-from simulator.arena import build_arena
+from simulator.arenas.arena import build_arena
 from simulator.config import Ranges
 from simulator.legs import Floats, Legs
 from simulator.motion import MotionParameters

@@ -9,7 +9,7 @@ from shapely import affinity
 from shapely.geometry import MultiPolygon, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.errors import ArenaError
 from studies.errors import NoArenaError
 

@@ -17,7 +17,7 @@ from firmware_protocol.errors import ConfigurationError
 from gateway.config import GatewayConfig
 from mapper.config import MapperConfig
 from simulator.config import RunConfig
-from simulator.render import RenderConfig
+from simulator.pictures.render import RenderConfig
 from simulator.replay_config import ReplayConfig
 from simulator.serve_config import ServeConfig
 

@@ -12,13 +12,13 @@ from pathlib import Path
 
 from shapely.geometry import Polygon, box
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.config import Ranges
-from simulator.fidelity import compare
 from simulator.motion import MotionParameters
-from simulator.paths import Paths
-from simulator.radio import RADIO_PRESETS
-from simulator.sensing import SensingConfig, sense
+from simulator.radios.fidelity import compare
+from simulator.radios.paths import Paths
+from simulator.radios.radio import RADIO_PRESETS
+from simulator.radios.sensing import SensingConfig, sense
 from simulator.truth import TruthRecorder
 from simulator.world import World
 from studies.errors import MarkerError

@@ -16,7 +16,7 @@ from firmware_protocol.units import NodeId
 from mapper.pipeline import compute_map
 from mapper.types import EncounterTable, FloatArray, ModeSpell, Recipe
 from mapper.window import make_encounter_table
-from simulator.arena import build_arena
+from simulator.arenas.arena import build_arena
 from simulator.config import Ranges
 from simulator.events import EncounterEnded
 from simulator.motion import MotionParameters

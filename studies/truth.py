@@ -16,9 +16,9 @@ from shapely.ops import polylabel
 from mapper.encounter_csv import read_encounters
 from mapper.persistence import rips_persistence
 from mapper.types import EncounterTable
-from simulator.arena import Arena, ArenaChange, BettiNumbers
-from simulator.geodesics import geodesic_distances
-from simulator.geojson import load_arena
+from simulator.arenas.arena import Arena, ArenaChange, BettiNumbers
+from simulator.arenas.geodesics import geodesic_distances
+from simulator.arenas.geojson import load_arena
 from studies.errors import OtherRunError, RunDirectoryError
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.errors import ArenaError
 from simulator.legs import Legs

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import ellipe, ellipk
 from shapely.geometry import Polygon
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.config import Ranges
 from simulator.legs import Floats, Legs
 from simulator.motion import MotionParameters, WallLaw

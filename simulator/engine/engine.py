@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.engine.binding import EVENT, LEG, EngineConfig, load_library
 from simulator.errors import EngineMemoryError, ParameterError, SnapshotError
 

@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from functools import partial
 
+from simulator.arenas.scenarios import find_scenario
 from simulator.events import Event
 from simulator.presets import PRESETS
-from simulator.scenarios import find_scenario
 from simulator.world import World
 from tests.simulator.plain.world import PlainWorld
 

@@ -6,7 +6,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from shapely.geometry import MultiPolygon, Polygon, box
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.config import Ranges
 from simulator.motion import MotionParameters
 from simulator.world import World

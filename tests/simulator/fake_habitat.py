@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.legs import Floats, Indices

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from simulator.config import RunConfig
-from simulator.recorded_run import RecordedRun, read_run
+from simulator.pictures.recorded_run import RecordedRun, read_run
 from simulator.run import run
 
 

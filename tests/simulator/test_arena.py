@@ -6,7 +6,7 @@ import shapely
 from hypothesis import given, settings
 from shapely.geometry import MultiPolygon, Polygon, box
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.errors import ArenaError
 from tests.simulator.arenas import FIVE, arenas, cut_out
 

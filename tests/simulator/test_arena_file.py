@@ -10,11 +10,11 @@ import shapely
 from PIL import Image
 from shapely.geometry import Polygon, box, mapping
 
-from simulator import arena_file
-from simulator.arena import build_arena
-from simulator.arena_file import load_arena_file, simplify_arena
+from simulator.arenas import arena_file
+from simulator.arenas.arena import build_arena
+from simulator.arenas.arena_file import load_arena_file, simplify_arena
+from simulator.arenas.floors import disc, ring_corridor
 from simulator.errors import ArenaError
-from simulator.floors import disc, ring_corridor
 
 # A room of 8 by 4 with an obstacle of 2 by 1 whose lower left corner is at (1, 2), in each kind of file.
 ROOM = Polygon(box(0, 0, 8, 4).exterior, [box(1, 2, 3, 3).exterior])

@@ -29,11 +29,11 @@ from firmware_protocol.messages import (
     WireMode,
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
-from simulator.backpack import Backpack, Effect, Transmission
-from simulator.backpack_config import BackpackConfig
+from simulator.backpacks.backpack import Backpack, Effect, Transmission
+from simulator.backpacks.backpack_config import BackpackConfig
+from simulator.backpacks.outbox import Outbox, OutboxConfig
+from simulator.backpacks.stimulator import Actuation
 from simulator.errors import ParameterError
-from simulator.outbox import Outbox, OutboxConfig
-from simulator.stimulator import Actuation
 from tests.simulator.base_station import Ledger, a_command
 
 NODE, BOOT = NodeId(7), BootId(3)

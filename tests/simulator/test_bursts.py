@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from simulator.bursts import BurstLoss
 from simulator.errors import ParameterError
+from simulator.radios.bursts import BurstLoss
 
 GOOD_S, BAD_S = 8.0, 2.0
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator.canvas import Canvas, Ink, View, fit_view, paint
+from simulator.pictures.canvas import Canvas, Ink, View, fit_view, paint
 
 # One dot a length, the corner of the canvas at (0, 7): y from 7 down to 0 on two rows of cells.
 UNIT = View(x_min=0.0, y_max=7.0, dots_per_length=1.0, left=0, top=0)

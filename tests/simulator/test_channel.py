@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely.geometry import Polygon, box
 
-from simulator.arena import build_arena
-from simulator.carrier_sense import CarrierSense
-from simulator.channel import Channel
+from simulator.arenas.arena import build_arena
 from simulator.errors import ParameterError, ScenarioError
-from simulator.radio import RADIO_PRESETS, RadioConfig, choose_radio
-from simulator.radio_keys import RadioKeys
+from simulator.radios.carrier_sense import CarrierSense
+from simulator.radios.channel import Channel
+from simulator.radios.radio import RADIO_PRESETS, RadioConfig, choose_radio
+from simulator.radios.radio_keys import RadioKeys
 
 N = 400
 IDS = range(1, N + 1)

@@ -8,10 +8,10 @@ from firmware_protocol.message_codec import encode_uplink
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD, Acknowledge, Hello, HelloRequest, Uplink, UplinkHeader
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
 from simulator import chance, draws
-from simulator.air import Air
 from simulator.clock import DriftingClock, SettableClock
 from simulator.coordinator import Coordinator
-from simulator.radio import Radio, RadioConfig, lqi
+from simulator.radios.air import Air
+from simulator.radios.radio import Radio, RadioConfig, lqi
 from tests.simulator.base_station import BaseStation
 
 MS = 1_000_000

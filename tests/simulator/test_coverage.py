@@ -6,9 +6,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from simulator.coverage import Coverage, CoverageConfig, spread_places
 from simulator.errors import ParameterError
-from simulator.radio import Radio
+from simulator.radios.coverage import Coverage, CoverageConfig, spread_places
+from simulator.radios.radio import Radio
 
 TWO = ((0.0, 0.0), (10.0, 0.0))
 places = st.tuples(st.floats(-20, 30), st.floats(-20, 20))

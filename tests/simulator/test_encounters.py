@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely.geometry import box
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.events import EncounterBegan, EncounterEnded
 from simulator.world import World
 from tests.simulator.arenas import FIVE, cut_out, square, world_in

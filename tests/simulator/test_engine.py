@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon, box
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.config import Ranges
 from simulator.errors import SnapshotError
 from simulator.events import BackpackSilenced, EncounterBegan, EncounterEnded, Event, ModeChanged

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from simulator import floor_plan
-from simulator.arena import build_arena
+from simulator.arenas import floor_plan
+from simulator.arenas.arena import build_arena
+from simulator.arenas.floor_plan import read_floor_plan, remove_specks, trace
 from simulator.errors import ArenaError
-from simulator.floor_plan import read_floor_plan, remove_specks, trace
 
 Bools = NDArray[np.bool_]
 

@@ -14,9 +14,9 @@ from scipy.sparse.csgraph import dijkstra
 from shapely.affinity import rotate, translate
 from shapely.geometry import MultiPolygon, Point, Polygon, box
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
+from simulator.arenas.geodesics import Geodesics, geodesic_distances
 from simulator.errors import OutsideArenaError
-from simulator.geodesics import Geodesics, geodesic_distances
 from tests.simulator.arenas import arenas
 
 Floats = NDArray[np.float64]

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
+from simulator.arenas.geojson import dump_arena, load_arena, parse_arena
 from simulator.errors import ArenaError
-from simulator.geojson import dump_arena, load_arena, parse_arena
 from tests.simulator.arenas import arenas
 
 RING = [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]

@@ -5,9 +5,9 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator.arena import Arena
-from simulator.horizon import Bools, Floats, Indices, find_hidden
-from simulator.scenarios import SCENARIOS
+from simulator.arenas.arena import Arena
+from simulator.arenas.horizon import Bools, Floats, Indices, find_hidden
+from simulator.arenas.scenarios import SCENARIOS
 from tests.simulator.arenas import arenas
 
 

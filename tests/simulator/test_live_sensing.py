@@ -8,18 +8,18 @@ import pytest
 
 from firmware_protocol.messages import MAX_ENCOUNTER_MS, EncounterBatch, EncounterEntry, Hello
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId, RssiDbm
-from simulator.backpack import Backpack, Transmission
-from simulator.backpack_config import BackpackConfig
+from simulator.backpacks.backpack import Backpack, Transmission
+from simulator.backpacks.backpack_config import BackpackConfig
 from simulator.clock import DriftingClock
 from simulator.config import Ranges
 from simulator.errors import ParameterError
-from simulator.fidelity import compare
-from simulator.live_sensing import LiveSensing
 from simulator.motion import MotionParameters
-from simulator.paths import Paths
-from simulator.proximity import ProximityConfig, unite
-from simulator.radio import RadioConfig
-from simulator.sensing import SensingConfig, sense
+from simulator.radios.fidelity import compare
+from simulator.radios.live_sensing import LiveSensing
+from simulator.radios.paths import Paths
+from simulator.radios.proximity import ProximityConfig, unite
+from simulator.radios.radio import RadioConfig
+from simulator.radios.sensing import SensingConfig, sense
 from simulator.swarm import Swarm
 from simulator.swarm_config import SwarmConfig
 from simulator.truth import TruthRecorder

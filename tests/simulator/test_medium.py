@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.beacons import BEACON_OCTETS
-from simulator.medium import Medium, Sending, airtime_ns, find_overlaps
+from simulator.radios.beacons import BEACON_OCTETS
+from simulator.radios.medium import Medium, Sending, airtime_ns, find_overlaps
 
 MS = 1_000_000
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect, sync_playwright
 
-from simulator.page import render_page
-from simulator.recorded_run import RecordedRun, read_run
+from simulator.pictures.page import render_page
+from simulator.pictures.recorded_run import RecordedRun, read_run
 from tests.simulator.runs import change_description, make_run, run_with_a_door_that_closes
 
 CHROMIUM = shutil.which("chromium")

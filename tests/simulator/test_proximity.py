@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulator.errors import ParameterError
-from simulator.proximity import Closed, Opened, ProximityConfig, ProximityLogger, common_time, unite
+from simulator.radios.proximity import Closed, Opened, ProximityConfig, ProximityLogger, common_time, unite
 
 CONFIG = ProximityConfig(enter_dbm=-50.0, exit_dbm=-55.0, gap=1150)
 PEERS = (1, 2)

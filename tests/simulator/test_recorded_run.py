@@ -10,7 +10,7 @@ import pytest
 import shapely
 
 from simulator.errors import ArenaError, RunFileError
-from simulator.recorded_run import RUN_FILES, read_run
+from simulator.pictures.recorded_run import RUN_FILES, read_run
 from tests.simulator.runs import change_description, change_truth, make_run, run_with_a_door_that_closes
 
 

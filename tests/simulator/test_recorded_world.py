@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.errors import ParameterError, TimeError, UnknownBiobotError
 from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged

@@ -15,11 +15,11 @@ from PIL import Image
 from firmware_protocol.errors import ConfigurationError
 from simulator.config_sources import load_config
 from simulator.errors import MissingLibraryError, OutputError, ParameterError
-from simulator.film import plan_film
-from simulator.instant import InstantPainter
-from simulator.picture import PictureSize, draw_arena, drawing_style, length_text, make_figure, nice_length
-from simulator.recorded_run import read_run
-from simulator.render import RenderConfig, add_arguments, render
+from simulator.pictures.film import plan_film
+from simulator.pictures.instant import InstantPainter
+from simulator.pictures.picture import PictureSize, draw_arena, drawing_style, length_text, make_figure, nice_length
+from simulator.pictures.recorded_run import read_run
+from simulator.pictures.render import RenderConfig, add_arguments, render
 from tests.simulator.runs import change_description, change_truth, make_run, run_with_a_door_that_closes
 
 SMALL = {"size": "300x280", "dpi": 60.0}

@@ -12,14 +12,14 @@ import pytest
 import shapely
 
 from firmware_protocol.errors import ConfigurationError
+from simulator.arenas.geojson import load_arena
+from simulator.arenas.scenarios import SCENARIOS
 from simulator.config import RunConfig
 from simulator.errors import ArenaError, OutputError, ParameterError, ScenarioError
-from simulator.geojson import load_arena
 from simulator.motion import MotionParameters
 from simulator.output import OutputDirectory
 from simulator.presets import PRESETS
 from simulator.run import run
-from simulator.scenarios import SCENARIOS
 from simulator.setting import choose_setting
 
 FILES = ["arena.geojson", "encounters.csv", "modes.csv", "run.json", "truth.npz"]

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import LinearRing, Polygon, box
 
-from simulator.arena import Arena, build_arena
+from simulator.arenas.arena import Arena, build_arena
+from simulator.arenas.maze import LOOPS
+from simulator.arenas.scenarios import SCENARIOS
 from simulator.config import WorldConfig
 from simulator.errors import ParameterError
-from simulator.maze import LOOPS
 from simulator.presets import PRESETS
-from simulator.scenarios import SCENARIOS
 from simulator.setting import choose_setting
 
 # Components and holes; those of random arenas with the default seed.

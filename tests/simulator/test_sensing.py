@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator import sensing
-from simulator.beacons import BeaconSchedule
 from simulator.config import Ranges
 from simulator.errors import ParameterError
-from simulator.fidelity import Encounter, compare
 from simulator.legs import Legs
-from simulator.medium import airtime_ns
 from simulator.motion import MotionParameters
-from simulator.paths import Paths
-from simulator.radio import RADIO_PRESETS, RadioConfig
-from simulator.sensing import Sensed, SensingConfig, sense, thresholds
+from simulator.radios import sensing
+from simulator.radios.beacons import BeaconSchedule
+from simulator.radios.fidelity import Encounter, compare
+from simulator.radios.medium import airtime_ns
+from simulator.radios.paths import Paths
+from simulator.radios.radio import RADIO_PRESETS, RadioConfig
+from simulator.radios.sensing import Sensed, SensingConfig, sense, thresholds
 from simulator.truth import TruthRecorder
 from simulator.world import World
 from tests.simulator.arenas import square

@@ -20,7 +20,7 @@ from simulator.config import Ranges
 from simulator.errors import ParameterError
 from simulator.events import EncounterEnded, Event, ModeChanged
 from simulator.motion import MotionParameters
-from simulator.radio import RadioConfig
+from simulator.radios.radio import RadioConfig
 from simulator.swarm import Swarm
 from simulator.swarm_config import SwarmConfig
 from simulator.world import World

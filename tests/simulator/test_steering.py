@@ -6,9 +6,9 @@ import pytest
 
 from firmware_protocol.messages import Action, WireCause, WireMode
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
+from simulator.backpacks.stimulator import Actuation
 from simulator.response import ResponseConfig
 from simulator.steering import Steering
-from simulator.stimulator import Actuation
 from tests.simulator.base_station import a_command
 from tests.simulator.fake_habitat import ScriptedWorld
 

@@ -12,10 +12,10 @@ from shapely import affinity
 from shapely.geometry import MultiPolygon, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from simulator.arena import build_arena
+from simulator.arenas.arena import build_arena
+from simulator.arenas.svg import CURVE_TOLERANCE, read_svg
+from simulator.arenas.svg_outlines import fill_rings
 from simulator.errors import ArenaError
-from simulator.svg import CURVE_TOLERANCE, read_svg
-from simulator.svg_outlines import fill_rings
 
 PAGE = 'viewBox="0 0 100 50"'
 FLOOR = '<rect id="arena" width="100" height="50"/>'

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from firmware_protocol.envelope import RadioStatus
 from firmware_protocol.messages import Action, Hello, HelloRequest, Neighbours, StimulateReply, StimulationResult
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId
-from simulator.coverage import CoverageConfig
 from simulator.events import BackpackSilenced, Event, ModeChanged, SilenceReason
-from simulator.radio import RadioConfig
+from simulator.radios.coverage import CoverageConfig
+from simulator.radios.radio import RadioConfig
 from simulator.response import ResponseConfig
 from simulator.swarm import Swarm
 from simulator.swarm_config import SwarmConfig

@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 import serial
 
-from simulator.carrier import open_line
 from simulator.errors import LineError, ParameterError
-from simulator.line import LineSpec, SerialEnd, parse_line
-from simulator.serial_port import SerialPortEnd
-from simulator.tcp_port import TcpEnd
-from simulator.virtual_serial import PtyEnd
+from simulator.lines.carrier import open_line
+from simulator.lines.line import LineSpec, SerialEnd, parse_line
+from simulator.lines.serial_port import SerialPortEnd
+from simulator.lines.tcp_port import TcpEnd
+from simulator.lines.virtual_serial import PtyEnd
 
 DEADLINE_S = 10.0
 

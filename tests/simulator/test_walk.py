@@ -6,7 +6,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.legs import Legs
 from tests.simulator.arenas import FIVE, arenas, square, world_in
 from tests.simulator.plain.walk import reach_walls

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from simulator.canvas import Ink, paint
 from simulator.clock import SettableClock
 from simulator.log import set_up_logging
-from simulator.watch import Watch
+from simulator.pictures.canvas import Ink, paint
+from simulator.pictures.watch import Watch
 from simulator.world import World
 from tests.simulator.arenas import one_obstacle, world_in
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon, box
 
-from simulator.arena import build_arena
+from simulator.arenas.arena import build_arena
 from studies.arenas import ArenaFamily, draw_arena, place_squares
 from studies.errors import NoRoomError
 from studies.trials import SETTINGS, simulate

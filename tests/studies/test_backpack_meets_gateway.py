@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from firmware_protocol.messages import Acknowledge, TimeSyncReply
 from firmware_protocol.units import BootId, Milliseconds
 from gateway.sequences import SequenceWindow
-from simulator.outbox import Outbox, OutboxConfig
+from simulator.backpacks.outbox import Outbox, OutboxConfig
 
 _MESSAGE = TimeSyncReply(token=0, received_ms=Milliseconds(0))
 

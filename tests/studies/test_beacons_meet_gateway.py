@@ -6,9 +6,9 @@ from firmware_protocol.units import Nanoseconds, NodeId, RssiDbm
 from gateway.encounters import EncounterMerger, SideReport, margin_of
 from simulator.config import Ranges
 from simulator.motion import MotionParameters
-from simulator.paths import Paths
-from simulator.radio import RADIO_PRESETS
-from simulator.sensing import SensingConfig, sense
+from simulator.radios.paths import Paths
+from simulator.radios.radio import RADIO_PRESETS
+from simulator.radios.sensing import SensingConfig, sense
 from simulator.world import World
 from tests.gateway.makers import an_issuer, newest_encounters
 from tests.simulator.arenas import square

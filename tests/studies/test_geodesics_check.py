@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from shapely.geometry import box
 
-from simulator.arena import Arena, build_arena
-from simulator.geodesics import Geodesics
+from simulator.arenas.arena import Arena, build_arena
+from simulator.arenas.geodesics import Geodesics
 from studies.geodesics_check import WANTED_ERROR, check, draw_places, large_plan, main, named_arenas, slow_distances
 
 ARENAS = dict(named_arenas(seed=3))

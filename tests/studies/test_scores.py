@@ -19,10 +19,10 @@ from mapper.encounter_csv import read_encounters, read_modes
 from mapper.pipeline import compute_map
 from mapper.report import JsonObject, to_json_object
 from mapper.types import MapResult, Method
-from simulator.arena import build_arena
+from simulator.arenas.arena import build_arena
+from simulator.arenas.geodesics import geodesic_distances
+from simulator.arenas.geojson import dump_arena
 from simulator.config import RunConfig
-from simulator.geodesics import geodesic_distances
-from simulator.geojson import dump_arena
 from simulator.run import run
 from studies.errors import MapFileError, OtherRunError, RunDirectoryError
 from studies.scores import count_enclosed, describe, main, score_map, signal_to_noise, winding_number

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from simulator.arena import Arena
-from simulator.geodesics import geodesic_distances
-from simulator.geojson import dump_arena
-from simulator.scenarios import SCENARIOS
+from simulator.arenas.arena import Arena
+from simulator.arenas.geodesics import geodesic_distances
+from simulator.arenas.geojson import dump_arena
+from simulator.arenas.scenarios import SCENARIOS
 from studies.errors import RunDirectoryError
 from studies.geodesics_check import named_arenas
 from studies.truth import diagram_of, load_run, obstacle_points, true_distances

@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely.geometry import MultiPolygon, Point, Polygon, box
 
-from simulator.arena import build_arena
+from simulator.arenas.arena import build_arena
 from simulator.errors import ArenaError
 from simulator.legs import Legs
 from simulator.world import World

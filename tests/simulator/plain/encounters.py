@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from tests.simulator.plain.leg_log import Floats, Indices, Legs
 from tests.simulator.plain.sight import keep_in_sight
 

@@ -8,7 +8,7 @@ are roots of quadratics, and between two of them nothing changes.
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from tests.simulator.plain.leg_log import Floats, Indices, Legs
 
 # Contacts times walls looked at in one block: bounds memory.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator import draws
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from tests.simulator.plain.leg_log import Floats, Indices, Legs
 
 _LENGTH_STREAM = 2

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from simulator.arena import Arena
+from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.errors import ParameterError, TimeError, UnknownBiobotError
 from simulator.events import Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged

@@ -1,0 +1,1 @@
+"""The simulator's ends of lines that a gateway opens."""

@@ -1,0 +1,95 @@
+"""Carries bytes between one coordinator of a swarm and its line."""
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+from simulator.coordinator import Coordinator
+from simulator.lines.line import LineSpec, SerialEnd
+from simulator.lines.serial_port import SerialPortEnd
+from simulator.lines.tcp_port import TcpEnd
+from simulator.lines.virtual_serial import PtyEnd
+from simulator.log import EventLog
+
+log = EventLog(__name__)
+
+_MAX_BACKLOG = 64 * 1024
+"""Bytes that wait for a slow listener at most [B]; frames beyond that are lost, as in an overrun, and the link repeats them."""
+
+
+class Carrier:
+    """See the module.
+
+    Parameters
+    ----------
+    feed
+        Takes what comes from the gateway.
+    """
+
+    def __init__(self, coordinator: Coordinator, *, line: SerialEnd, feed: Callable[[bytes], None]) -> None:
+        self._coordinator = coordinator
+        self._line = line
+        self._feed = feed
+        self._backlog = bytearray()
+        self._n_overruns = 0
+        self._has_outgoing = asyncio.Event()
+        self._was_open = False
+
+    @property
+    def address(self) -> str:
+        """What a gateway is to open."""
+        return self._line.address
+
+    @property
+    def is_open(self) -> bool:
+        """A gateway is connected."""
+        return self._coordinator.is_open
+
+    @property
+    def faults(self) -> dict[str, int]:
+        """What came in and was of no use, and what had no room, by name."""
+        faults = dict(self._coordinator.faults)
+        return faults | {"overrun": self._n_overruns} if self._n_overruns else faults
+
+    async def receive(self) -> None:
+        """Hand on what comes from the gateway, until cancelled."""
+        while True:
+            self._feed(await self._line.read())
+
+    async def send(self) -> None:
+        """Write what waits for the gateway, until cancelled."""
+        while True:
+            await self._has_outgoing.wait()
+            self._has_outgoing.clear()
+            data = bytes(self._backlog)
+            self._backlog.clear()
+            await self._line.write(data)
+
+    def pump(self) -> None:
+        """Take what the coordinator has to say; tell when a gateway comes or goes."""
+        data = self._coordinator.take_bytes()
+        if len(self._backlog) + len(data) > _MAX_BACKLOG:
+            self._n_overruns += 1
+        elif data:
+            self._backlog += data
+            self._has_outgoing.set()
+        if self.is_open is not self._was_open:
+            self._was_open = self.is_open
+            log.info("gateway.connected" if self._was_open else "gateway.gone", line=self.address)
+
+
+async def open_line(spec: LineSpec) -> SerialEnd:
+    """Make the simulator's end of a line.
+
+    Raises
+    ------
+    LineError
+        The name, the port or the device cannot be had.
+    """
+    match spec.kind:
+        case "pty":
+            return PtyEnd(Path(spec.target), baud=spec.baud)
+        case "tcp":
+            return await TcpEnd.listen(spec.target, spec.port, baud=spec.baud)
+        case _:
+            return SerialPortEnd(spec.target, baud=spec.baud or 115_200)

@@ -1,0 +1,1 @@
+"""Pictures of runs: stills, films, a page, and the terminal."""
