@@ -232,9 +232,9 @@ def _biobots_to_find(plan: Plan, law: Law, *, obstacle: float) -> int | None:
 
     low, high = 1, 2
     while not suffices(high):
-        low, high = high, 2 * high
-        if high > MAX_BIOBOTS:
+        if high == MAX_BIOBOTS:
             return None
+        low, high = high, min(2 * high, MAX_BIOBOTS)
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if suffices(middle) else (middle, high)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 import msgspec
+import shapely
 
 from firmware_protocol.landmarks import select_landmarks
 from simulator.config import RunConfig
@@ -26,6 +27,7 @@ class _Saved(msgspec.Struct, frozen=True):
     recorder: RecorderState
     landmarks: list[int]
     n_done: int
+    arenas: list[bytes]
 
 
 class Expedition:
@@ -81,7 +83,12 @@ class Expedition:
     def save(self) -> bytes:
         """Return a snapshot."""
         saved = _Saved(
-            config=self.config, world=self.world.snapshot(), recorder=self.recorder.state(), landmarks=self.landmarks, n_done=self._n_done
+            config=self.config,
+            world=self.world.snapshot(),
+            recorder=self.recorder.state(),
+            landmarks=self.landmarks,
+            n_done=self._n_done,
+            arenas=_outlines(self.setting),
         )
         return seal(msgspec.msgpack.encode(saved), mark=_MARK)
 
@@ -104,6 +111,9 @@ class Expedition:
         expedition = cls.__new__(cls)
         expedition.config = saved.config
         expedition.setting = choose_setting(saved.config)
+        if _outlines(expedition.setting) != saved.arenas:
+            problem = f"{expedition.setting.arena_name} is not the arena any more that the run was begun in; put the old file back"
+            raise SnapshotError(source=source, problem=problem)
         expedition.world = World.restore(saved.world, source=source)
         expedition.recorder = TruthRecorder(expedition.world, state=saved.recorder)
         expedition.landmarks = saved.landmarks
@@ -171,3 +181,8 @@ class Expedition:
 
     def _set_done(self, count: int) -> None:
         self._n_done = count
+
+
+def _outlines(setting: Setting) -> list[bytes]:
+    """Return the arena and what it becomes, as bytes that differ where they do."""
+    return [shapely.to_wkb(arena.polygon) for arena in (setting.arena, *(change.arena for change in setting.arena_changes))]

@@ -37,10 +37,10 @@ class Habitat(Protocol):
     def start(self, biobot_id: int, /, *, cause: Cause) -> bool:
         """Let a biobot walk from now on."""
 
-    def turn(self, biobot_id: int, angle_rad: float, /) -> object:
+    def turn(self, biobot_id: int, angle_rad: float, /) -> bool:
         """Turn a biobot at once, to the left where the angle is positive; a naturally resting one walks on."""
 
-    def run_straight(self, biobot_id: int, distance: float, /) -> object:
+    def run_straight(self, biobot_id: int, distance: float, /) -> bool:
         """Make a biobot run straight on for a distance [length], or to the next wall; a naturally resting one walks on."""
 
     def mode(self, biobot_id: int, /) -> Mode:

@@ -26,11 +26,10 @@ class Past:
         self._known: tuple[float, Legs] | None = None
 
     def add(self, records: Records) -> None:
-        """Take in legs that have just ended."""
-        if records.size:
-            self._known = None
-            if self.keeps:
-                self._parts.append(to_legs(records))
+        """Take in the legs that have just ended, if any; insects may have new ones, even at the same instant."""
+        self._known = None
+        if self.keeps and records.size:
+            self._parts.append(to_legs(records))
 
     def completed(self) -> Legs | None:
         """Return all legs that are over, or None where there are none."""

@@ -126,13 +126,13 @@ class RecordedWorld:
         """Change nothing: the past stays as it was."""
         return self._refuse(biobot_id, cause)
 
-    def turn(self, biobot_id: int, angle_rad: float) -> None:  # noqa: ARG002  # of a Habitat
+    def turn(self, biobot_id: int, angle_rad: float) -> bool:  # noqa: ARG002  # of a Habitat
         """Change nothing: the past stays as it was."""
-        self._refuse(biobot_id, Cause.COMMAND)
+        return self._refuse(biobot_id, Cause.COMMAND)
 
-    def run_straight(self, biobot_id: int, distance: float) -> None:  # noqa: ARG002  # of a Habitat
+    def run_straight(self, biobot_id: int, distance: float) -> bool:  # noqa: ARG002  # of a Habitat
         """Change nothing: the past stays as it was."""
-        self._refuse(biobot_id, Cause.COMMAND)
+        return self._refuse(biobot_id, Cause.COMMAND)
 
     def mode(self, biobot_id: int) -> Mode:
         """See ``Habitat``."""

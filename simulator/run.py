@@ -126,7 +126,7 @@ def _shown(expedition: Expedition, config: RunConfig) -> Iterator[Callable[[floa
     setting, world, recorder = expedition.setting, expedition.world, expedition.recorder
     if config.watch or config.watch_speed is not None:
         title = f"{setting.arena_name}, {setting.preset}, seed {setting.seed}: {setting.biobots} biobots"
-        with Watch(world, title=title, zero_s=setting.dispersion_s, end_s=expedition.total_s) as watch:
+        with Watch(world, title=title, zero_s=setting.dispersion_s, end_s=expedition.total_s, n_met=expedition.n_encounters) as watch:
             yield lambda until_s: recorder.record(watch.advance(until_s, speed=config.watch_speed))
     elif sys.stderr.isatty():
         show = _show_bar(expedition.total_s)

@@ -203,7 +203,7 @@ def _check_extent(setting: Setting) -> None:
             wanted=f"at least {1e3 * arena.margin:g} {unit} in an arena of this extent; are arena and preset in the same unit of length?",
         )
     # Mean distance between walls is pi A / P for straight isotropic paths.
-    walls = float(arena.polygon.length) / (math.pi * arena.area)
+    walls = max(float(one.polygon.length) / (math.pi * one.area) for one in (arena, *(change.arena for change in setting.arena_changes)))
     legs = (1.0 / setting.motion.mean_leg + walls) * setting.motion.speed * (setting.dispersion_s + setting.duration_s) * setting.biobots
     if legs > _MAX_LEGS:
         raise ParameterError(

@@ -32,17 +32,19 @@ class WorldParts:
     is_torus: bool
     keeps_legs: bool
     arena: Arena
+    bounds: tuple[float, float, float, float]
 
 
 def pack(parts: WorldParts) -> bytes:
     """Write a snapshot."""
     head = {
-        "now_s": parts.now_s.hex(),
-        "detection": parts.ranges.detection.hex(),
-        "communication": parts.ranges.communication.hex(),
+        "now_s": float(parts.now_s).hex(),
+        "detection": float(parts.ranges.detection).hex(),
+        "communication": float(parts.ranges.communication).hex(),
         "is_torus": parts.is_torus,
         "keeps_legs": parts.keeps_legs,
         "arena": shapely.to_wkb(parts.arena.polygon, hex=True),
+        "bounds": [value.hex() for value in parts.bounds],
     }
     arrays: dict[str, NDArray[np.generic]] = {
         "head": np.frombuffer(json.dumps(head).encode(), dtype=np.uint8),
@@ -62,23 +64,40 @@ def unpack(content: bytes, *, source: str) -> WorldParts:
     body = unseal(content, mark=_MARK, source=source)
     try:
         with np.load(io.BytesIO(body), allow_pickle=False) as archive:
-            arrays = dict(archive)
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise SnapshotError(source=source, problem=f"its archive cannot be read ({error})") from error
+            return _read_parts(dict(archive), source=source)
+    except (ValueError, KeyError, TypeError, AttributeError, OSError, zipfile.BadZipFile, shapely.errors.ShapelyError) as error:
+        raise SnapshotError(source=source, problem=f"what is in it does not fit together ({error})") from error
+
+
+def _read_parts(arrays: dict[str, NDArray[np.generic]], *, source: str) -> WorldParts:
     head = json.loads(arrays["head"].tobytes())
+    bounds = [float.fromhex(value) for value in head["bounds"]]
     shape = shapely.from_wkb(head["arena"])
     if not isinstance(shape, Polygon | MultiPolygon):
         raise SnapshotError(source=source, problem=f"its arena is a {shape.geom_type}")
+    ids = arrays["ids"].astype(np.int64, casting="safe")
+    lost_first = arrays["lost_first"].astype(np.bool_, casting="safe")
+    legs = None
+    if "leg_x" in arrays:
+        numbers = {name: arrays[f"leg_{name}"].astype(np.float64, casting="safe") for name in LEG_FIELDS if name != "biobot"}
+        legs = Legs(biobot=arrays["leg_biobot"].astype(np.int64, casting="safe"), **numbers)
+        if {column.shape for column in numbers.values()} != {legs.biobot.shape} or not (
+            (legs.biobot >= 0) & (legs.biobot < ids.size)
+        ).all():
+            raise SnapshotError(source=source, problem="its legs are no insects'")
+    if ids.ndim != 1 or lost_first.shape != ids.shape or not ids.size or not (np.diff(ids) > 0).all():
+        raise SnapshotError(source=source, problem="its identities are not in order")
     return WorldParts(
         engine=arrays["engine"].tobytes(),
-        legs=Legs(**{name: arrays[f"leg_{name}"] for name in LEG_FIELDS}) if "leg_x" in arrays else None,
-        ids=arrays["ids"],
-        lost_first=arrays["lost_first"],
+        legs=legs,
+        ids=ids,
+        lost_first=lost_first,
         now_s=float.fromhex(head["now_s"]),
         ranges=Ranges(detection=float.fromhex(head["detection"]), communication=float.fromhex(head["communication"])),
-        is_torus=head["is_torus"],
-        keeps_legs=head["keeps_legs"],
+        is_torus=bool(head["is_torus"]),
+        keeps_legs=bool(head["keeps_legs"]),
         arena=build_arena(shape, source=source),
+        bounds=(bounds[0], bounds[1], bounds[2], bounds[3]),
     )
 
 

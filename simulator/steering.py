@@ -86,7 +86,8 @@ class Steering:
     def actuate(self, node: NodeId, actuation: Actuation, *, now_ns: int) -> None:
         """Do to an insect what its backpack decided on; what it responds with comes later, by ``react``."""
         cause = _CAUSE[actuation.cause]
-        self._forget_reaction(node)
+        if actuation.command is not None or actuation.mode is not None:  # the mere end of a hold wakes nobody and stops no response
+            self._forget_reaction(node)
         if actuation.mode is WireMode.S:
             self._held.add(node)
             self._world.stop(node, cause=cause)
@@ -116,11 +117,16 @@ class Steering:
         """Let insects respond whose time has come."""
         while (due_ns := self.next_due_ns()) is not None and due_ns <= now_ns:
             _, node = heapq.heappop(self._dues)
-            response = self._reactions.pop(node).response
+            response = self._reactions[node].response
+            moved = False
             if response.turn_rad:
-                self._world.turn(node, response.turn_rad)
+                moved = self._world.turn(node, response.turn_rad)
             if response.run_m:
-                self._world.run_straight(node, response.run_m / self._metres_per_unit)
+                moved = self._world.run_straight(node, response.run_m / self._metres_per_unit) or moved
+            if moved:
+                del self._reactions[node]
+            else:  # dead, stuck or held meanwhile
+                self._forget_reaction(node)
 
     def silence(self, node: NodeId) -> None:
         """Forget a biobot whose backpack is off; a response that its last train brought about comes no more."""

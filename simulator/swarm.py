@@ -95,7 +95,7 @@ class Swarm:
             )
         self._associate_at_ns = 0
         self._associate(0)
-        self._sensing = self._make_sensing(config.sensing)
+        self._sensing = self._make_sensing(config.sensing, places=coverage.places)
         for node in self._nodes:
             self._plan(node)
         for coordinator in self.coordinators:
@@ -201,15 +201,17 @@ class Swarm:
             now_ms=self._clocks[node].read_ms(0), sense_neighbours=lambda: self._surroundings.neighbours(node, silent=self.silenced),
         )  # fmt: skip
 
-    def _make_sensing(self, config: SensingConfig | None) -> LiveSensing | None:
+    def _make_sensing(self, config: SensingConfig | None, *, places: Sequence[Place]) -> LiveSensing | None:
         if config is None:
             return None
         arena = self._world.arena
         if arena is None:
             raise ParameterError(name="sensing", got="beacon", wanted="ideal, where it is not known where the biobots are")
+        if len(places) > 1 and self._shares_air:
+            raise ParameterError(name="csma", got=True, wanted="false with several coordinators: the shared medium knows one of them")
         return LiveSensing(
             self._nodes, clocks=self._clocks, arena=arena, config=config, places=self._surroundings.places(),
-            coordinator_place=_middle(self._world),
+            coordinator_place=places[0],
         )  # fmt: skip
 
     def _end_world(self, now_ns: int) -> None:

@@ -14,7 +14,7 @@ from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.engine import Engine
 from simulator.engine.engine import Records
-from simulator.errors import ParameterError, SnapshotError, TimeError, UnknownBiobotError
+from simulator.errors import ArenaError, ParameterError, SnapshotError, TimeError, UnknownBiobotError
 from simulator.events import Cause, EncounterBegan, Event, Happenings, Mode
 from simulator.failures import draw_failures
 from simulator.legs import Floats, Indices, Legs, locate
@@ -66,20 +66,7 @@ class World:
     All biobots walk at first (mode CRW, cause natural), and that is no event.
     """
 
-    __slots__ = (
-        "_arena",
-        "_engine",
-        "_ids",
-        "_keeps_legs",
-        "_known_legs",
-        "_lost_first",
-        "_now_s",
-        "_past",
-        "_ranges",
-        "_row",
-        "_torus",
-        "_window_s",
-    )
+    __slots__ = ("_arena", "_bounds", "_engine", "_ids", "_lost_first", "_now_s", "_past", "_ranges", "_row", "_torus", "_window_s")
 
     def __init__(
         self,
@@ -98,6 +85,7 @@ class World:
         if not 0 < speed_factor < float("inf"):
             raise ParameterError(name="speed_factor", got=speed_factor, wanted="a positive finite number")
         self._arena = arena
+        self._bounds = arena.bounds
         self._ranges = ranges
         self._ids = tuple(sorted(ids))
         self._row = {one: row for row, one in enumerate(self._ids)}
@@ -227,6 +215,11 @@ class World:
         """
         if self._torus:
             raise ParameterError(name="torus", got=True, wanted="a world with walls, where walls are to be replaced")
+        low, high = self._bounds[:2], self._bounds[2:]
+        if not all(low[k] <= arena.bounds[k] and arena.bounds[2 + k] <= high[k] for k in range(2)):
+            raise ArenaError(
+                source="arena", problem=f"its bounds {arena.bounds} reach beyond {self._bounds}, those of the world's first arena"
+            )
         places = arena.nearest_room(self.positions())
         self._engine.replace_walls(arena, places=places, at_s=self._now_s)
         self._arena = arena
@@ -239,6 +232,11 @@ class World:
     def modes(self) -> list[Mode]:
         """Return the present mode of every biobot, in the order of ``ids``."""
         return [MODES[still] for still in self._engine.modes()[0].tolist()]
+
+    def commanded(self) -> set[int]:
+        """Return the ids of those who stand by command."""
+        still, cause = self._engine.modes()
+        return {self._ids[row] for row in np.flatnonzero((still == 1) & (cause == 1)).tolist()}
 
     def position(self, biobot_id: int, *, at_s: float | None = None) -> tuple[float, float]:
         """Return where a biobot is [length], or was at ``at_s`` [s]."""
@@ -298,14 +296,20 @@ class World:
     def neighbours(self, biobot_id: int) -> set[int]:
         """Return the ids within the communication radius now, without its own; walls do not hinder radio."""
         row = self._find(biobot_id)
-        places = self.positions()
-        near = ((places - places[row]) ** 2).sum(axis=1) <= self._ranges.communication**2
+        apart = self.positions()
+        apart -= apart[row].copy()
+        if self._torus:  # to the nearest image
+            side = self._bounds[2] - self._bounds[0]
+            apart -= side * np.rint(apart / side)
+        near = (apart**2).sum(axis=1) <= self._ranges.communication**2
         return {self._ids[other] for other in np.flatnonzero(near) if other != row}
 
     def adjacency(self) -> dict[int, set[int]]:
         """Return every biobot's neighbours within the communication radius now: id to ids."""
         links: dict[int, set[int]] = {one: set() for one in self._ids}
-        pairs = cKDTree(self.positions()).query_pairs(self._ranges.communication, output_type="ndarray")
+        places, side = self.positions(), self._bounds[2] - self._bounds[0] if self._torus else None
+        tree = cKDTree(places) if side is None else cKDTree(np.mod(places, side), boxsize=np.array([side, side]))
+        pairs = tree.query_pairs(self._ranges.communication, output_type="ndarray")
         for first, second in pairs.tolist():
             links[self._ids[first]].add(self._ids[second])
             links[self._ids[second]].add(self._ids[first])
@@ -329,6 +333,7 @@ class World:
             is_torus=self._torus,
             keeps_legs=self._past.keeps,
             arena=self._arena,
+            bounds=self._bounds,
         )
         return pack(parts)
 
@@ -342,6 +347,7 @@ class World:
 
     def _take_up(self, parts: WorldParts, source: str) -> None:
         self._arena = parts.arena
+        self._bounds = parts.bounds
         self._ranges = parts.ranges
         self._ids = tuple(parts.ids.tolist())
         self._row = {one: row for row, one in enumerate(self._ids)}
@@ -363,7 +369,9 @@ class World:
             if end_s <= self._now_s:  # the window is shorter than a unit in the last place of the time
                 end_s = until_s
             steps = self._engine.n_steps
-            self._engine.advance(end_s)
+            while not self._engine.advance(end_s):
+                self._past.add(self._engine.take_legs())
+                yield self._engine.take_events()
             steps = self._engine.n_steps - steps
             if steps > _STEPS_AT_ONCE or end_s < until_s:
                 self._window_s *= min(4.0, max(0.25, _STEPS_AT_ONCE / max(1, steps)))

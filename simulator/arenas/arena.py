@@ -18,6 +18,9 @@ Floats = NDArray[np.float64]
 _WALL_MARGIN_OF_EXTENT = 1e-9
 _WALL_MARGIN_OF_COORDINATE = 1e-12
 
+# Corners this near, as a share of the extent, are one.
+_SPECK_OF_EXTENT = 1e-14
+
 _PLACEMENT_STREAM = 1
 _MAX_PLACEMENT_TRIES = 100_000
 _TRIES_AT_ONCE = 20_000
@@ -179,6 +182,7 @@ def build_arena(shape: Polygon | MultiPolygon, *, source: str = "arena") -> Aren
     """
     if shape.is_empty or not np.isfinite(shapely.get_coordinates(shape)).all():
         raise ArenaError(source=source, problem="it is empty or has coordinates that are not finite; give at least one closed ring")
+    shape = _without_specks(shape)
     if not shape.is_valid:
         raise ArenaError(source=source, problem=f"not a valid area: {shapely.is_valid_reason(shape)}; mend the outline there")
     parts = [orient(part, sign=1.0) for part in (shape.geoms if isinstance(shape, MultiPolygon) else [shape])]
@@ -201,6 +205,17 @@ def build_arena(shape: Polygon | MultiPolygon, *, source: str = "arena") -> Aren
         margin=max(_WALL_MARGIN_OF_EXTENT * extent, _WALL_MARGIN_OF_COORDINATE * float(np.abs(start).max())),
         betti=BettiNumbers(components=len(parts), holes=sum(_count_holes(part) for part in parts)),
     )
+
+
+def _without_specks(shape: Polygon | MultiPolygon) -> Polygon | MultiPolygon:
+    """Make one of corners that rounding cannot tell apart: a wall of 1e-200 has no direction that could be computed."""
+    places = shapely.get_coordinates(shape)
+    tolerance = _SPECK_OF_EXTENT * float(np.max(places.max(axis=0) - places.min(axis=0)))
+    steps = np.abs(np.diff(places, axis=0)).max(axis=1)
+    if not ((steps > 0) & (steps <= tolerance)).any():
+        return shape
+    tidied = shapely.remove_repeated_points(shape, tolerance)
+    return tidied if isinstance(tidied, Polygon | MultiPolygon) and not tidied.is_empty else shape
 
 
 def _count_holes(part: Polygon) -> int:

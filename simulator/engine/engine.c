@@ -34,6 +34,7 @@ engine *engine_create(const engine_config *config, int32_t n, const uint64_t *id
     if (!e) return NULL;
     e->config = *config;
     e->n = n;
+    e->expected_walls = -1;
     e->insect = calloc((size_t)n, sizeof *e->insect);
     e->order = calloc((size_t)n, sizeof *e->order);
     if (!e->insect || !e->order) {
@@ -58,6 +59,8 @@ engine *engine_create(const engine_config *config, int32_t n, const uint64_t *id
 }
 
 int engine_set_walls(engine *e, int32_t n, const double *start, const double *end, const double *normal, const int32_t *previous, double margin) {
+    if (e->expected_walls >= 0 && e->expected_walls != n) return -3; /* other walls than those of the snapshot */
+    e->expected_walls = -1;
     walls_free(&e->walls);
     return walls_build(&e->walls, n, start, end, normal, previous, margin);
 }
@@ -78,7 +81,8 @@ static int make_cells(engine *e, double width, double height) {
     while ((width / e->cell + 2.0) * (height / e->cell + 2.0) > 16.0 * e->n + 1024.0) e->cell *= 1.25;
     if (e->config.period > 0.0) {
         e->columns = e->rows = (int32_t)(e->config.period / e->cell);
-        if (e->columns < 3) return -2;
+        /* Of three columns each is next to each, and nobody would look again when another image of a pair comes near. */
+        if (e->columns < 4) return -2;
         e->cell = e->config.period / e->columns;
     } else {
         e->columns = (int32_t)(width / e->cell) + 1;
@@ -107,11 +111,16 @@ int engine_start(engine *e, double low_x, double low_y, double high_x, double hi
     return e->has_failed ? -1 : 0;
 }
 
-int engine_advance(engine *e, double until_s) {
+/* Returns 1 where so many steps were made that what they told should be taken first, between two instants; 0 where `until_s` is reached. */
+int engine_advance(engine *e, double until_s, int64_t most_steps) {
+    int64_t last_step = e->n_steps + most_steps;
+    double t = e->now;
     for (;;) {
         int32_t i = (int32_t)e->order[0].i;
         double own = e->order[0].t, joint = e->n_pairs ? e->pairs[0].t : INFINITY;
         if (!(least(own, joint) < until_s) || e->has_failed) break;
+        if (e->n_steps >= last_step && least(own, joint) > t) return 1;
+        t = least(own, joint);
         e->n_steps++;
         if (own <= joint) {
             own_event(e, i);
@@ -151,6 +160,10 @@ int engine_replace_walls(engine *e, int32_t n, const double *start, const double
         walk(e, i, t, one->heading_x, one->heading_y, left);
     }
     e->has_started = 1;
+    for (int32_t i = 0; i < e->n; i++) { /* those who were pushed out of each other's cells are found by their links alone */
+        for (int32_t k = e->insect[i].near.count - 1; k >= 0; k--) find_company(e, i, e->insect[i].near.at[k].other, t);
+        for (int32_t k = e->insect[i].close.count - 1; k >= 0; k--) find_company(e, i, e->insect[i].close.at[k].other, t);
+    }
     for (int32_t i = 0; i < e->n; i++) visit_around(e, i, t, find_company);
     for (int32_t i = 0; i < e->n; i++) visit_around(e, i, t, evaluate);
     return e->has_failed ? -1 : 0;

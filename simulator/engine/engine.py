@@ -16,7 +16,9 @@ Words = NDArray[np.uint64]
 # Structured arrays of binding.EVENT and binding.LEG.
 Records = NDArray[Any]
 
-_OUT_OF_MEMORY, _TOO_NARROW = -1, -2
+_OUT_OF_MEMORY, _TOO_NARROW, _OTHER_WALLS = -1, -2, -3
+# Events and legs of so many steps take some hundred megabytes at most.
+_MOST_STEPS = 2_000_000
 
 
 class Engine:
@@ -42,7 +44,7 @@ class Engine:
     EngineMemoryError
         There is not memory enough.
     ParameterError
-        The torus is less than three detection radii wide.
+        The torus is less than four detection radii wide.
     """
 
     __slots__ = ("_handle", "_library", "_n")
@@ -61,7 +63,7 @@ class Engine:
             self._set_walls(arena)
         status = self._library.engine_start(self._handle, low_x, low_y, high_x, high_y)
         if status == _TOO_NARROW:
-            wanted = "at least three detection radii, and three spacings of insects, to be told from its own images"
+            wanted = "at least four detection radii, and four spacings of insects, to be told from its own images"
             raise ParameterError(name="side of the torus", got=config.period, wanted=wanted)
         self._check(status, at_s=0.0)
 
@@ -78,7 +80,7 @@ class Engine:
         self._library = load_library()
         self._n = n_biobots
         self._handle = self._library.engine_load(content, len(content))
-        if not self._handle:
+        if not self._handle or self._library.engine_count(self._handle) != n_biobots:
             raise SnapshotError(source="snapshot", problem="the engine cannot read it")
 
     def __del__(self) -> None:
@@ -90,9 +92,9 @@ class Engine:
         """Events worked off so far, of all kinds."""
         return int(self._library.engine_steps(self._handle))
 
-    def advance(self, until_s: float) -> None:
-        """Let time run to ``until_s`` [s], exclusive."""
-        self._check(self._library.engine_advance(self._handle, until_s), at_s=until_s)
+    def advance(self, until_s: float) -> bool:
+        """Let time run to ``until_s`` [s], exclusive; False where events and legs should be taken before it goes on."""
+        return self._check(self._library.engine_advance(self._handle, until_s, _MOST_STEPS), at_s=until_s) == 0
 
     def take_events(self) -> Records:
         """Return what happened since the last call (dtype ``EVENT``), in order of time, kind, rows; modes in order of their making."""
@@ -155,14 +157,16 @@ class Engine:
         return content.raw
 
     def _set_walls(self, arena: Arena) -> None:
-        self._check(self._library.engine_set_walls(self._handle, *_wall_arguments(arena)), at_s=0.0)
+        if self._check(self._library.engine_set_walls(self._handle, *_wall_arguments(arena)), at_s=0.0) == _OTHER_WALLS:
+            raise SnapshotError(source="snapshot", problem="it was taken between other walls")
 
     def _take(self, function: Any, kind: np.dtype[Any]) -> Records:
         place = c_void_p()
         count = function(self._handle, byref(place))
         if not count:
             return np.empty(0, dtype=kind)
-        return np.frombuffer(ctypes.string_at(place, count * kind.itemsize), dtype=kind)
+        assert place.value is not None
+        return np.frombuffer((ctypes.c_char * (count * kind.itemsize)).from_address(place.value), dtype=kind).copy()
 
     def _check(self, status: int, *, at_s: float) -> int:
         if status == _OUT_OF_MEMORY:

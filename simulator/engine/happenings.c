@@ -208,8 +208,9 @@ static void help_up(engine *e, int32_t i, int32_t by, double t) {
     if (draw_uniform(e, one, RESCUE, one->n_rescues++) < e->config.rescue) get_up(e, i, t);
 }
 
-static void touch_bodies(engine *e, int32_t a, int32_t b, double t) {
-    if (find_link(&e->insect[a].close, b)) return;
+/* Link two insects that touch; returns whether they are new to each other, and in sight. */
+static int join_bodies(engine *e, int32_t a, int32_t b, double t) {
+    if (find_link(&e->insect[a].close, b)) return 0;
     passage p = see_passage(e, &e->insect[a], &e->insect[b], t);
     double begin, end, until;
     double limit = solve(&p, e->config.contact, &begin, &end) ? least(end, p.stop) : p.stop;
@@ -217,11 +218,16 @@ static void touch_bodies(engine *e, int32_t a, int32_t b, double t) {
     link mine = {t, b, is_clear}, theirs = {t, a, is_clear};
     add_link(e, &e->insect[a].close, mine);
     add_link(e, &e->insect[b].close, theirs);
-    if (e->has_failed) return;
+    if (e->has_failed) return 0;
     expect_contact(e, a, b, &p, t);
-    if (!is_clear) return;
+    if (!is_clear) return 0;
     count_neighbour(e, a, 1, t);
     count_neighbour(e, b, 1, t);
+    return 1;
+}
+
+static void touch_bodies(engine *e, int32_t a, int32_t b, double t) {
+    if (!join_bodies(e, a, b, t)) return;
     help_up(e, a, b, t);
     help_up(e, b, a, t);
     if (!e->config.contact_turns) return;
@@ -275,7 +281,7 @@ void find_company(engine *e, int32_t i, int32_t j, double t) {
     if (e->config.contact > 0.0) {
         if (square > e->config.contact * e->config.contact)
             part_bodies(e, a, b, t);
-        else if (!find_link(&e->insect[a].close, b))
-            expect(e, t, PAIR_TOUCH, a, b);
+        else
+            join_bodies(e, a, b, t); /* they did not run into each other, and so do not recoil */
     }
 }

@@ -76,7 +76,7 @@ static int pair_before(const pair_event *one, const pair_event *other) {
 void expect(engine *e, double t, int kind, int32_t a, int32_t b) {
     e->pairs = grow(e, e->pairs, &e->room_pairs, e->n_pairs + 1, sizeof *e->pairs);
     if (e->has_failed) return;
-    pair_event added = {t, kind, a, b, e->insect[a].version, e->insect[b].version};
+    pair_event added = {t, kind, a, b, e->insect[a].version, e->insect[b].version, 0};
     int64_t place = e->n_pairs++;
     while (place > 0) {
         int64_t above = (place - 1) / 4;

@@ -60,6 +60,7 @@ typedef struct {
     double t;
     int32_t kind, a, b;
     uint32_t version_a, version_b;
+    int32_t unused; /* no bytes of chance in snapshots */
 } pair_event;
 
 /* An insect's place in the heap, with its t_own beside it: comparing must not fetch whole insects from memory. */
@@ -71,6 +72,7 @@ typedef struct {
 struct engine {
     engine_config config;
     int32_t n, columns, rows, has_started;
+    int32_t expected_walls; /* after loading a snapshot: how many it was taken with; else -1 */
     double now, cell, low_x, low_y;
     insect *insect;
     int32_t *cells;

@@ -44,6 +44,8 @@ class Watch:
         What is on top of the picture.
     zero_s, end_s
         The world's time that is called 0, and that at which it ends [s], if known.
+    n_met
+        Encounters so far, where the world has a past.
     stream, environment
         Where to show it, and variables: ``TERM`` and ``NO_COLOR``.
     clock, sleep
@@ -63,6 +65,7 @@ class Watch:
         title: str,
         zero_s: float = 0.0,
         end_s: float | None = None,
+        n_met: int = 0,
         stream: TextIO | None = None,
         environment: Mapping[str, str] | None = None,
         clock: Clock | None = None,
@@ -79,8 +82,8 @@ class Watch:
         self._terminal = Terminal(stream) if can_show_pictures(stream, environment) else None
         self._is_coloured = wants_colours(environment)
         self._row = {one: row for row, one in enumerate(world.ids)}
-        self._commanded: set[int] = set()
-        self._n_met = 0
+        self._commanded = world.commanded()
+        self._n_met = n_met
         self._parted: collections.deque[tuple[int, int]] = collections.deque(maxlen=max(1, len(world.ids) // 20))
         self._history: collections.deque[tuple[int, float, int]] = collections.deque()
         self._began: tuple[int, float, int] | None = None

@@ -160,13 +160,16 @@ class LiveSensing:
         is_near[is_report, -1] = True
         is_near[np.arange(at.size), packets.sender[at]] = False
         packet, receiver = np.nonzero(is_near)
-        fate, rssi_dbm = self._receiver.decide(packets, subject=at, place=place, packet=packet, receiver=receiver)
+        fate, rssi_dbm, is_spoiled = self._receiver.decide(packets, subject=at, place=place, packet=packet, receiver=receiver)
         heard: list[Heard] = []
         carried: list[Carried] = []
-        for k, to, what, strength in zip(packet.tolist(), receiver.tolist(), fate.tolist(), rssi_dbm.tolist(), strict=True):
+        columns = (packet.tolist(), receiver.tolist(), fate.tolist(), rssi_dbm.tolist(), is_spoiled.tolist())
+        for k, to, what, strength, spoiled in zip(*columns, strict=True):
             one = on_air[subject[k]]
             if self._is_report(one):
-                carried.append(Carried(ticket=one.ticket, at_ns=one.end_ns, is_carried=what not in {Fate.DEAF, Fate.COLLISION}))
+                carried.append(
+                    Carried(ticket=one.ticket, at_ns=one.end_ns, is_carried=not spoiled)
+                )  # what range and chance do to it is Air's to say
             elif self._nodes[to] not in self._is_off and what == Fate.HEARD and strength >= self._exit_dbm:
                 heard.append(Heard(node=self._nodes[to], peer=NodeId(one.sender), at_ns=one.start_ns, rssi_dbm=strength))
         return heard, carried

@@ -64,7 +64,7 @@ class Receiver:
 
     def decide(
         self, packets: Packets, *, subject: Indices, place: Floats, packet: Indices, receiver: Indices
-    ) -> tuple[NDArray[np.int8], Floats]:
+    ) -> tuple[NDArray[np.int8], Floats, NDArray[np.bool_]]:
         """Decide what becomes of some packets at some receivers.
 
         Parameters
@@ -84,6 +84,8 @@ class Receiver:
             A ``Fate`` each, shape (m,).
         rssi_dbm
             What the receiver says of the strength, shape (m,); of meaning where it is heard.
+        is_spoiled
+            Whether other packets, or the receiver's own, overlapped it too strongly, whatever else befell it, shape (m,).
         """
         channel, config = self.channel, self.channel.config
         row = subject[packet]
@@ -93,6 +95,7 @@ class Receiver:
         fate = np.zeros(packet.size, dtype=np.int8)
         if config.csma:
             self._mark_interference(fate, packets, subject=subject, place=place, packet=packet, receiver=receiver, power_dbm=power_dbm)
+        is_spoiled = fate != Fate.HEARD
         if config.loss:
             fate[self._uniform(_LOSS_STREAM, sender, receiver, number) < config.loss] = Fate.CHANCE
         if self.bursts is not None:
@@ -105,7 +108,7 @@ class Receiver:
             u = self._uniform(_ERROR_STREAM, sender, receiver, number)
             fate[u < channel.packet_error_rate(power_dbm, n_octets=self.n_octets)] = Fate.FADING
             fate[(fate == Fate.FADING) & (u < channel.packet_error_rate(mean_dbm, n_octets=self.n_octets))] = Fate.RANGE
-        return fate, channel.rssi_dbm(power_dbm, receiver)
+        return fate, channel.rssi_dbm(power_dbm, receiver), is_spoiled
 
     def _mark_interference(
         self, fate: NDArray[np.int8], packets: Packets, *, subject: Indices, place: Floats, packet: Indices, receiver: Indices,

@@ -172,7 +172,7 @@ def sense(
         place = paths.places(packets.start_ns[subject] / _NS_PER_S)
         distance = _distances(place, packets.sender[subject])
         packet, listener = np.nonzero((distance <= reach) & (packets.start_ns[subject, None] < off_ns))
-        fate, rssi_dbm = receiver.decide(packets, subject=subject, place=place, packet=packet, receiver=listener)
+        fate, rssi_dbm, _ = receiver.decide(packets, subject=subject, place=place, packet=packet, receiver=listener)
         counts += np.bincount(fate[distance[packet, listener] <= config.communication], minlength=len(Fate))
         kept = (fate == Fate.HEARD) & (rssi_dbm >= proximity.exit_dbm)
         row = subject[packet[kept]]

@@ -23,6 +23,7 @@ class ScriptedWorld:
     arena: Arena | None = field(default_factory=lambda: square(10.0))
     ranges: Ranges = field(default_factory=lambda: Ranges(detection=1.0, communication=20.0))
     modes: dict[int, Mode] = field(default_factory=dict)
+    stuck: frozenset[int] = frozenset()
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -45,11 +46,13 @@ class ScriptedWorld:
     def start(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
         return self._change(biobot_id, Mode.CRW, cause)
 
-    def turn(self, biobot_id: int, angle_rad: float) -> None:
+    def turn(self, biobot_id: int, angle_rad: float) -> bool:
         self.done.append((self.now_s, "turn", biobot_id, angle_rad))
+        return biobot_id not in self.stuck
 
-    def run_straight(self, biobot_id: int, distance: float) -> None:
+    def run_straight(self, biobot_id: int, distance: float) -> bool:
         self.done.append((self.now_s, "run", biobot_id, distance))
+        return biobot_id not in self.stuck
 
     def mode(self, biobot_id: int) -> Mode:
         return self.modes.get(biobot_id, Mode.CRW)

@@ -1,5 +1,8 @@
 """Laws of the engine: it says what a plain implementation says, bit for bit, and snapshots of it go on as if nothing had been."""
 
+import contextlib
+import io
+import math
 import threading
 from collections.abc import Sequence
 
@@ -11,9 +14,10 @@ from shapely.geometry import Polygon, box
 
 from simulator.arenas.arena import Arena, build_arena
 from simulator.config import Ranges
-from simulator.errors import SnapshotError
+from simulator.errors import ParameterError, SnapshotError
 from simulator.events import BackpackSilenced, EncounterBegan, EncounterEnded, Event, ModeChanged
 from simulator.motion import MotionParameters, WallLaw
+from simulator.snapshot import seal, unseal
 from simulator.world import World
 from tests.simulator.arenas import FIVE, arenas, one_obstacle, square
 from tests.simulator.plain.world import PlainWorld
@@ -94,6 +98,49 @@ def test_a_restored_snapshot_goes_on_as_if_nothing_had_been(at_s: float) -> None
         assert (getattr(restored.legs(), name) == getattr(whole.legs(), name)).all()
 
 
+def test_equal_worlds_have_equal_snapshots() -> None:
+    snapshots = []
+    for _ in range(2):
+        world = busy()
+        world.advance(12)  # a whole number is an instant too
+        snapshots.append(world.snapshot())
+    assert snapshots[0] == snapshots[1]
+
+
+def forge(content: bytes, **changed: np.ndarray) -> bytes:
+    """Change arrays of a snapshot and seal it anew, as somebody with bad intentions would."""
+    mark = b"biobot world 1\n"
+    with np.load(io.BytesIO(unseal(content, mark=mark, source="old"))) as archive:
+        arrays = {**archive, **changed}
+    body = io.BytesIO()
+    np.savez(body, **{name: array for name, array in arrays.items() if array.size})
+    return seal(body.getvalue(), mark=mark)
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_forged_snapshots_are_refused_or_harmless(data: st.DataObject) -> None:
+    world = busy(biobots=8)
+    world.advance(2.0)
+    content = world.snapshot()
+    with np.load(io.BytesIO(unseal(content, mark=b"biobot world 1\n", source="old"))) as archive:
+        engine = archive["engine"].copy()
+    # Indices are 32-bit words of the engine's memory, behind its header and its parameters.
+    word = data.draw(st.integers(300, engine.size // 4 - 1))
+    engine[4 * word : 4 * word + 4] = np.frombuffer(np.int32(data.draw(st.integers(-(2**31), 2**31 - 1))).tobytes(), dtype=np.uint8)
+    with contextlib.suppress(SnapshotError):
+        World.restore(forge(content, engine=engine)).positions()
+
+
+@pytest.mark.parametrize("name", ["ids", "head", "engine", "lost_first"])
+def test_snapshots_without_a_part_are_refused(name: str) -> None:
+    content = busy(biobots=8).snapshot()
+    with pytest.raises(SnapshotError, match="wanted a whole snapshot"):
+        World.restore(forge(content, **{name: np.empty(0, dtype=np.int64)}))
+    with pytest.raises(SnapshotError, match="wanted a whole snapshot"):
+        World.restore(forge(content, ids=np.array([1], dtype=np.int64), lost_first=np.array([False])))
+
+
 def test_a_snapshot_taken_after_a_command_still_tells_of_it() -> None:
     world = busy()
     world.advance(2.0)
@@ -172,3 +219,39 @@ def test_the_mouth_of_a_crack_narrower_than_two_margins_holds_nobody() -> None:
     legs = world.legs()
     assert np.count_nonzero((legs.y < 1e-6) & (legs.x > 6) & (legs.x < 8)) > 100
     assert not ((legs.vx == 0) & (legs.vy == 0)).any()
+
+
+@pytest.mark.parametrize("radius", [2.4, 1.2])
+def test_on_a_torus_every_image_of_a_pair_is_met(radius: float) -> None:
+    """Time together, summed over pairs, against positions looked up at many instants."""
+    world = World(
+        square(10.0), motion=MotionParameters(speed=1.0, mean_leg=8.0), ranges=Ranges(detection=radius, communication=radius),
+        ids=range(1, 21), seed=2, torus=True,
+    )  # fmt: skip
+    table = world.run(40.0).ended
+    told = float((table.t_end_s - table.t_start_s).sum()) + sum(40.0 - one.t_s for one in world.open_encounters())
+    instants = np.arange(0.005, 40.0, 0.01)
+    places = world.positions_at(instants)
+    apart = places[:, :, None] - places[:, None]
+    apart -= 10.0 * np.rint(apart / 10.0)
+    together = np.count_nonzero(np.hypot(apart[..., 0], apart[..., 1]) <= radius) - 20 * instants.size
+    assert told == pytest.approx(together / 2 * 0.01, rel=2e-3)
+
+
+def test_a_torus_too_narrow_for_its_images_is_refused() -> None:
+    with pytest.raises(ParameterError, match="at least four detection radii"):
+        World(
+            square(10.0), motion=MotionParameters(speed=1.0, mean_leg=8.0), ranges=Ranges(detection=3.0, communication=3.0),
+            ids=range(1, 41), seed=2, torus=True,
+        )  # fmt: skip
+
+
+def test_neighbours_on_a_torus_are_those_of_the_nearest_image() -> None:
+    world = World(
+        square(50.0), motion=MotionParameters(speed=1.0, mean_leg=10.0), ranges=Ranges(detection=1.0, communication=8.0),
+        ids=range(1, 151), seed=2, torus=True,
+    )  # fmt: skip
+    world.advance(3000.0)
+    links = world.adjacency()
+    assert np.mean([len(heard) for heard in links.values()]) == pytest.approx(149 * math.pi * 64 / 2500, rel=0.15)
+    assert all(world.neighbours(one) == links[one] for one in world.ids)

@@ -11,9 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from simulator.arenas.geojson import dump_arena
 from simulator.config import MotionConfig, RunConfig
 from simulator.errors import SnapshotError
 from simulator.expedition import Expedition
+from tests.simulator.arenas import square
 
 BUSY = RunConfig(
     scenario="closing-door",
@@ -45,6 +47,17 @@ def test_a_snapshot_with_a_byte_changed_or_missing_is_refused() -> None:
     for broken in (content[:-1], content[:40], b"", content[:100] + b"?" + content[101:]):
         with pytest.raises(SnapshotError, match=r"half: .*wanted a whole snapshot"):
             Expedition.resume(broken, source="half")
+
+
+def test_an_arena_file_that_has_changed_since_is_refused(tmp_path: Path) -> None:
+    arena = tmp_path / "room.geojson"
+    arena.write_text(dump_arena(square(50.0)))
+    halves = Expedition(RunConfig(arena=str(arena), seed=4, biobots=20, duration_s=10.0))
+    halves.advance(5.0)
+    content = halves.save()
+    arena.write_text(dump_arena(square(40.0)))
+    with pytest.raises(SnapshotError, match="is not the arena any more"):
+        Expedition.resume(content, source="half")
 
 
 def start_run(tmp_path: Path, *more: str) -> subprocess.Popen[str]:

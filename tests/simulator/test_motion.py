@@ -11,7 +11,7 @@ from shapely.geometry import MultiPolygon, box
 
 from simulator.arenas.arena import Arena, build_arena
 from simulator.config import Ranges
-from simulator.errors import ParameterError
+from simulator.errors import ArenaError, ParameterError
 from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged, SilenceReason
 from simulator.legs import Legs
 from simulator.motion import MotionParameters, WallLaw
@@ -260,6 +260,25 @@ def test_nobody_passes_a_door_that_is_closed(law: WallLaw) -> None:
     apart = [event for event in events if isinstance(event, EncounterBegan) and side[event.id1] != side[event.id2]]
     assert not [event for event in apart if event.t_s > 50.0]
     assert not [one for one in world.open_encounters() if side[one.id1] != side[one.id2]]
+
+
+def test_those_who_are_pushed_apart_meet_no_longer() -> None:
+    """An obstacle rises in the middle of a crowd: everybody is pushed to its rim, some far from those they were with."""
+    motion = MotionParameters(speed=1.0, mean_leg=4.0, contact_radius=0.5, company_stop_gain=1.0)
+    ranges = Ranges(detection=2.0, communication=2.0)
+    world = World(square(50.0), motion=motion, ranges=ranges, ids=range(1, 121), seed=3)
+    world.advance(10.0)
+    world.replace_arena(build_arena(cut_out(box(0, 0, 50, 50), box(5, 5, 45, 45))))
+    world.advance(10.0 + 1e-9)
+    for one in world.open_encounters():
+        assert math.dist(world.position(one.id1), world.position(one.id2)) <= 2.0 + 1e-6
+    assert (world.positions() == world.positions_at([world.now_s])[0]).all()
+
+
+def test_walls_stay_within_the_bounds_of_the_first_arena() -> None:
+    world, _ = walked(MotionParameters(speed=1.0, mean_leg=3.0), square(10.0), until_s=1.0)
+    with pytest.raises(ArenaError, match="reach beyond"):
+        world.replace_arena(square(11.0))
 
 
 def test_a_door_that_opens_lets_insects_through() -> None:
