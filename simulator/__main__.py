@@ -162,16 +162,19 @@ def _add_common(parser: argparse.ArgumentParser, *, is_command: bool) -> None:
 
 def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     arena_flags.add_arguments(run)
-    run.add_argument("--preset", metavar="NAME", help="parameters of insects and radios (default: paper-units)")
+    run.add_argument("--preset", metavar="NAME", help="parameters of insects (default: paper-units)")
     run.add_argument("--biobots", type=int, metavar="N", help="how many insects (default: the preset's)")
-    run.add_argument("--landmarks", type=int, metavar="N", help="how many of them stand still as landmarks (default: the preset's share)")
+    run.add_argument("--landmarks", type=int, metavar="N", help="how many of them stand still as landmarks")
     run.add_argument("--duration", dest="duration_s", type=float, metavar="S", help="seconds to explore (default: the preset's)")
-    run.add_argument("--seed", type=int, metavar="N", help="same seed, same run")
+    run.add_argument("--duration-s", dest="duration_s", type=float, help=argparse.SUPPRESS)  # the key's name, as messages have it
+    run.add_argument("--seed", type=int, metavar="N", help="same seed, same run; required")
     radio_flags.add_arguments(run)
-    run.add_argument("--out", metavar="DIR", help="directory for the results; made if missing")
+    run.add_argument("--out", metavar="DIR", help="directory for results, made if missing; required")
     run.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")
+    run.add_argument("--position-samples", type=int, metavar="N", help="write all places at so many instants (default: 201)")
     run.add_argument("--snapshot", metavar="FILE", help="keep the run in this file, for 'resume' after a signal")
     run.add_argument("--snapshot-every", dest="snapshot_every_s", type=float, metavar="S", help="also each S seconds of the run")
+    run.add_argument("--snapshot-every-s", dest="snapshot_every_s", type=float, help=argparse.SUPPRESS)
     run.add_argument("--watch", action="store_true", default=None, help="show the insects in the terminal while they walk")
     run.add_argument("--watch-speed", type=float, metavar="X", help="and no faster than X seconds of the run in one of ours")
     motion_flags.add_arguments(run)

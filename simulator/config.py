@@ -8,7 +8,7 @@ import msgspec
 
 from simulator.errors import ParameterError
 from simulator.motion import MotionParameters, WallLaw
-from simulator.radios.radio_keys import RadioKeys
+from simulator.radios.radio_keys import BEACON_KEYS, RadioKeys
 
 # Beyond this, a float of seconds rounds more coarsely than insects keep away from walls.
 _MAX_TIME_S = 1e7
@@ -32,7 +32,9 @@ class Ranges:
     def __post_init__(self) -> None:
         _need_positive(detection=self.detection, communication=self.communication)
         if self.communication < self.detection:
-            raise ParameterError(name="communication", got=self.communication, wanted=f"at least the detection radius, {self.detection!r}")
+            raise ParameterError(
+                name="communication radius", got=self.communication, wanted=f"at least the detection radius, {self.detection!r}"
+            )
 
 
 def _need_positive(**values: float) -> None:
@@ -40,6 +42,8 @@ def _need_positive(**values: float) -> None:
         if not (math.isfinite(got) and got > 0):
             raise ParameterError(name=name, got=got, wanted="a positive finite number")
 
+
+_RADIO_DEFAULTS = {one.name: one.default for one in msgspec.structs.fields(RadioKeys)}
 
 _Hazard = Annotated[float, msgspec.Meta(ge=0, le=1e6)] | None
 _Positive = Annotated[float, msgspec.Meta(gt=0)] | None
@@ -228,6 +232,10 @@ class RunConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        idle = [name for name in BEACON_KEYS if getattr(self, name) != _RADIO_DEFAULTS[name]]
+        if self.sensing == "ideal" and idle:
+            msg = f"{', '.join(idle)}: of no use where sensing is ideal; give --sensing beacon, or leave it out"
+            raise ValueError(msg)
         if self.snapshot_every_s is not None and self.snapshot is None:
             msg = "snapshot_every_s is given without snapshot, the file to write; give --snapshot FILE"
             raise ValueError(msg)

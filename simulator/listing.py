@@ -59,10 +59,10 @@ def list_scenarios(*, as_json: bool) -> str:
         note = " (counted with seed 0)" if SCENARIOS[name].is_random else ""
         lines.append(f"{name:<16}{arena.betti.components:>11}{arena.betti.holes:>7}  {SCENARIOS[name].summary}{note}")
         lines += [f"{f'  after {share:.0%}':<16}{after.betti.components:>11}{after.betti.holes:>7}" for share, after in later[name]]
-    columns = f"{'side':>6}{'v_m':>6}{'l*':>6}{'r_d':>6}{'r_c':>6}{'biobots':>9}{'landmarks':>11}{'T [s]':>7}"
+    columns = f"{'side':>6}{'v_m':>8}{'l*':>8}{'r_d':>6}{'r_c':>6}{'biobots':>9}{'landmarks':>11}{'T [s]':>7}"
     lines.append(f"\n{'preset':<13}{'unit':>5}{columns}  what it is")
     lines += [
-        f"{preset.name:<13}{preset.unit:>5}{preset.side:>6g}{preset.motion.speed:>6g}{preset.motion.mean_leg:>6g}"
+        f"{preset.name:<13}{preset.unit:>5}{preset.side:>6g}{preset.motion.speed:>8g}{preset.motion.mean_leg:>8g}"
         f"{preset.ranges.detection:>6g}{preset.ranges.communication:>6g}{preset.biobots:>9}{preset.landmarks:>11}"
         f"{preset.duration_s:>7g}  {preset.summary}{' (default)' if preset.name == DEFAULT_PRESET else ''}"
         for preset in PRESETS.values()

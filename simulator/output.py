@@ -1,5 +1,6 @@
 """The directory that results go to: all files at once, and never over somebody's own."""
 
+import re
 import shutil
 import uuid
 from collections.abc import Mapping
@@ -7,6 +8,9 @@ from pathlib import Path
 from typing import Self
 
 from simulator.errors import OutputError
+
+# What run, serve and replay may write: a run of another kind must not leave some of it beside this one's.
+_OF_A_RUN = re.compile(r"(encounters|encounters_true|observations|modes|reported)\.csv|truth\.npz|arena(_\d+)?\.geojson|run\.json")
 
 
 class OutputDirectory:
@@ -63,7 +67,8 @@ class OutputDirectory:
         Parameters
         ----------
         files
-            Name to content. In a directory that exists already, the last file is absent while the others are replaced.
+            Name to content. In a directory that exists already, the last file is absent while the others are replaced, and files of an
+        earlier run that this one has not are removed.
 
         Raises
         ------
@@ -79,6 +84,9 @@ class OutputDirectory:
                 self._staging.rename(self._path)
                 return
             (self._path / list(files)[-1]).unlink(missing_ok=True)
+            for earlier in self._path.iterdir():
+                if _OF_A_RUN.fullmatch(earlier.name) and earlier.name not in files:
+                    earlier.unlink()
             for name in files:
                 (self._staging / name).replace(self._path / name)
         except OSError as error:

@@ -105,6 +105,8 @@ def load_recording(path: Path) -> Recording:
     if not path.is_dir():
         return _assemble(path, encounters=_read_encounters(path), spells=[], run=None, places=None)
     encounters_csv = path / "encounters.csv"
+    if (path / "encounters.csv.partial").is_file():  # of a run that was killed
+        return _assemble(path, encounters=_read_encounters(path / "encounters.csv.partial"), spells=[], run=None, places=None)
     if not encounters_csv.is_file():
         raise RecordingError(path=path, problem="holds no encounters.csv; give a directory of results or a CSV file of encounters")
     encounters = _read_encounters(encounters_csv)

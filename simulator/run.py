@@ -92,20 +92,31 @@ def _advance_to_the_end(expedition: Expedition, walk: Callable[[float], None], *
         expedition.advance(expedition.total_s, walk=walk)
         return
     with _noted_signals() as noted:
-        saved_s = expedition.world.now_s
+        write_whole(snapshot, expedition.save())  # proves, before anybody has walked, that it can be written
+        saved_s, has_failed = expedition.world.now_s, False
         while not expedition.is_over:
             step_s = expedition.total_s / _PAUSES if every_s is None else min(every_s, expedition.total_s / _PAUSES)
             expedition.advance(expedition.world.now_s + step_s, walk=walk)
             is_due = every_s is not None and expedition.world.now_s - saved_s >= every_s and not expedition.is_over
             if is_due and not noted:
                 saved_s = expedition.world.now_s
-                try:
-                    write_whole(snapshot, expedition.save())
-                except OutputError as error:  # the run is worth more than its snapshot
-                    log.warning("snapshot.failed", problem=str(error))
+                has_failed = _write_snapshot(expedition, snapshot, has_failed=has_failed)
             if noted:
                 write_whole(snapshot, expedition.save())
                 raise InterruptedRunError(snapshot=snapshot, t_s=expedition.world.now_s)
+
+
+def _write_snapshot(expedition: Expedition, snapshot: Path, *, has_failed: bool) -> bool:
+    """Write a snapshot, and return whether that failed: the run is worth more than it. A fault is told when it begins and ends."""
+    try:
+        write_whole(snapshot, expedition.save())
+    except OutputError as error:
+        if not has_failed:
+            log.warning("snapshot.failed", problem=str(error))
+        return True
+    if has_failed:
+        log.info("snapshot.written_again", snapshot=str(snapshot))
+    return False
 
 
 @contextlib.contextmanager

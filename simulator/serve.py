@@ -44,12 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``serve``."""
     arena_flags.add_arguments(parser)
     motion_flags.add_arguments(parser)
+    radio_flags.add_arguments(parser)
     parser.add_argument("--watch", action="store_true", default=None, help="show the insects in the terminal")
     add_line_arguments(parser)
-    parser.add_argument("--preset", metavar="NAME", help="parameters of insects and radios (default: paper-units)")
+    parser.add_argument("--preset", metavar="NAME", help="parameters of insects (default: paper-units)")
     parser.add_argument("--biobots", type=int, metavar="N", help="how many insects (default: the preset's)")
     parser.add_argument("--seed", type=int, metavar="N", help="same seed, same insects")
     parser.add_argument("--duration", dest="duration_s", type=float, metavar="S", help="end after this many seconds (default: on a signal)")
+    parser.add_argument("--duration-s", dest="duration_s", type=float, help=argparse.SUPPRESS)  # the key's name, as messages have it
     parser.add_argument(
         "--speed",
         "--speed-factor",
@@ -86,7 +88,6 @@ def add_backpack_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loss", type=float, metavar="P", help="probability that a radio payload is lost (default: 0)")
     parser.add_argument("--report-period-s", type=float, metavar="S", help="an encounter waits this long for company (default: 1)")
     parser.add_argument("--neighbours-period-s", type=float, metavar="S", help="how often neighbours are told (default: 5)")
-    radio_flags.add_arguments(parser)
     parser.add_argument("--boot", type=int, metavar="N", help="count of starts the backpacks tell (default: from the wall clock)")
     parser.add_argument("--out", metavar="DIR", help="directory for truth, reports and run.json; made if missing")
     parser.add_argument("--force", action="store_true", default=None, help="write into a directory that is not empty")

@@ -12,7 +12,7 @@ from simulator.arenas.scenarios import find_scenario
 from simulator.config import Ranges, WorldConfig, parse_arena_then
 from simulator.errors import ArenaError, ParameterError
 from simulator.log import EventLog
-from simulator.motion import MotionParameters
+from simulator.motion import MotionParameters, WallLaw
 from simulator.presets import Preset, find_preset
 
 log = EventLog(__name__)
@@ -63,14 +63,19 @@ class Setting:
 
     @property
     def expected_encounters(self) -> float:
-        """Kinetic-gas estimate of the encounters after the landmarks are set, in an arena without walls.
+        """Kinetic-gas estimate of the encounters after the landmarks are set.
 
         ``v T r_d (4 N_m^2 / pi + 2 N_l N_m) / A`` for movers N_m and landmarks N_l: two movers approach each other at 4 v / pi on
-        average over all headings, a mover approaches a landmark at v, and 2 r_d is the width in which they meet.
+        average over all headings, a mover approaches a landmark or one that rests at v, and 2 r_d is the width in which they meet. Of
+        that goes the time at rest, and what walls cut off the disc of detection: a share ``r_d P / (pi A)`` for the perimeter P, as in a
+        large box. Insects that gather at walls or in company meet more or less than that.
         """
-        movers = self.biobots - self.landmarks
-        pairs = 4.0 * movers**2 / math.pi + 2.0 * self.landmarks * movers
-        return self.motion.speed * self.duration_s * self.ranges.detection * pairs / self.arena.area
+        motion, radius = self.motion, self.ranges.detection
+        movers, walking = self.biobots - self.landmarks, 1.0 / (1.0 + motion.stop_hazard * motion.mean_rest_s)
+        among_movers = movers**2 * (4.0 / math.pi * walking**2 + 2.0 * walking * (1.0 - walking))
+        pairs = among_movers + 2.0 * self.landmarks * movers * walking
+        in_sight = max(0.0, 1.0 - radius * float(self.arena.polygon.length) / (math.pi * self.arena.area))
+        return motion.speed * self.duration_s * radius * pairs * in_sight / self.arena.area
 
     def describe(self) -> dict[str, object]:
         """List the setting for a file of parameters; lengths are in ``unit_of_length``."""
@@ -159,6 +164,8 @@ def choose_setting(config: WorldConfig) -> Setting:
         arena_counts=file.counts,
     )
     _check_extent(setting)
+    if setting.motion.wall_law is WallLaw.FOLLOW and not setting.motion.exit_hazard:
+        log.warning("walls.never_left", hint="insects that have met a wall follow it for ever; give motion.exit_hazard, 0.12 /s for larvae")
     return setting
 
 
@@ -190,6 +197,9 @@ def _load_arena(config: WorldConfig, *, name: str, preset: Preset, duration_s: f
 def _read_arena(path: str, config: WorldConfig) -> ArenaFile:
     file = load_arena_file(Path(path), scale=config.arena_scale, simplify=config.arena_simplify)
     betti = file.arena.betti
+    if file.counts.get("shapes_ignored"):
+        hint = "lines have no width: turn strokes into paths (Stroke to Path) for walls to stand"
+        log.warning("arena.shapes_ignored", file=path, count=file.counts["shapes_ignored"], hint=hint)
     log.info("arena.read", file=path, components=betti.components, holes=betti.holes, walls=len(file.arena.wall_start), **file.counts)
     return file
 

@@ -20,6 +20,8 @@ _WALL_MARGIN_OF_COORDINATE = 1e-12
 
 # Corners this near, as a share of the extent, are one.
 _SPECK_OF_EXTENT = 1e-14
+# Squares and products of lengths beyond this, or its inverse, lose their digits.
+_LEAST_EXTENT = 1e-60
 
 _PLACEMENT_STREAM = 1
 _MAX_PLACEMENT_TRIES = 100_000
@@ -182,8 +184,12 @@ def build_arena(shape: Polygon | MultiPolygon, *, source: str = "arena") -> Aren
     """
     if shape.is_empty or not np.isfinite(shapely.get_coordinates(shape)).all():
         raise ArenaError(source=source, problem="it is empty or has coordinates that are not finite; give at least one closed ring")
-    shape = _without_specks(shape)
-    if not shape.is_valid:
+    try:
+        shape = _without_specks(shape, source=source)
+        is_valid = shape.is_valid and shape.area > 0
+    except shapely.errors.GEOSException as error:
+        raise ArenaError(source=source, problem=f"its coordinates are too large or too small to compute with ({error})") from error
+    if not is_valid:
         raise ArenaError(source=source, problem=f"not a valid area: {shapely.is_valid_reason(shape)}; mend the outline there")
     parts = [orient(part, sign=1.0) for part in (shape.geoms if isinstance(shape, MultiPolygon) else [shape])]
     rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
@@ -207,10 +213,14 @@ def build_arena(shape: Polygon | MultiPolygon, *, source: str = "arena") -> Aren
     )
 
 
-def _without_specks(shape: Polygon | MultiPolygon) -> Polygon | MultiPolygon:
+def _without_specks(shape: Polygon | MultiPolygon, *, source: str) -> Polygon | MultiPolygon:
     """Make one of corners that rounding cannot tell apart: a wall of 1e-200 has no direction that could be computed."""
     places = shapely.get_coordinates(shape)
-    tolerance = _SPECK_OF_EXTENT * float(np.max(places.max(axis=0) - places.min(axis=0)))
+    with np.errstate(over="ignore"):
+        extent = float(np.max(places.max(axis=0) - places.min(axis=0)))
+    if not _LEAST_EXTENT < extent < 1.0 / _LEAST_EXTENT:
+        raise ArenaError(source=source, problem=f"its extent is {extent:g}; wanted {_LEAST_EXTENT:g} to {1.0 / _LEAST_EXTENT:g}")
+    tolerance = _SPECK_OF_EXTENT * extent
     steps = np.abs(np.diff(places, axis=0)).max(axis=1)
     if not ((steps > 0) & (steps <= tolerance)).any():
         return shape

@@ -15,4 +15,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S:FILE",
         help="the arena is this one from S seconds after the landmarks are set; repeatable",
     )
-    parser.add_argument("--arena-simplify", type=float, metavar="X", help="leave out corners of the file, moving walls by at most this")
+    parser.add_argument("--arena-simplify", type=float, metavar="X", help="leave out corners; walls move by at most this")

@@ -104,7 +104,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mp4", metavar="FILE", help="a film, smaller; needs the extra 'video'")
     parser.add_argument("--html", metavar="FILE", help="a page to play and search the run, complete in one file")
     parser.add_argument("--at", dest="at_s", type=float, metavar="S", help="draw this instant, counted from the landmarks' setting")
+    parser.add_argument("--at-s", dest="at_s", type=float, help=argparse.SUPPRESS)  # the key's name, as messages have it
     parser.add_argument("--trail", dest="trail_s", type=float, metavar="S", help="seconds of way drawn behind each insect")
+    parser.add_argument("--trail-s", dest="trail_s", type=float, help=argparse.SUPPRESS)  # the key's name, as messages have it
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--paths", type=int, metavar="N", help="paths of how many biobots, whole run (default: up to 5)")
     which.add_argument("--ids", metavar="ID,ID", help="paths of these biobots")
@@ -175,9 +177,12 @@ def _refuse_inputs(directory: Path, target: Path) -> None:
 @contextlib.contextmanager
 def _fresh_file(target: Path) -> Iterator[Path]:
     """Give a name beside the target to write to; it takes the target's place if nothing went wrong."""
-    fresh = target.with_name(f".{target.name}.{uuid.uuid4().hex[:8]}.partial")
     if target.is_dir():
         raise OutputError(path=target, problem="is a directory; give the name of a file in it")
+    if target.exists() and not target.is_file():
+        raise OutputError(path=target, problem="is a device or a pipe, and would be replaced; give the name of a file")
+    target = target.resolve()  # a link stays one, and what it leads to is replaced
+    fresh = target.with_name(f".{target.name}.{uuid.uuid4().hex[:8]}.partial")
     try:
         try:
             fresh.touch()

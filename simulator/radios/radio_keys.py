@@ -58,3 +58,7 @@ class RadioKeys(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     burst_bad_s: _Duration | None = None
     csma: bool | None = None
     hidden_nodes: bool | None = None
+
+
+BEACON_KEYS = tuple(one.name for one in msgspec.structs.fields(RadioKeys) if one.name != "sensing")
+"""What speaks of beacons and of the radio that carries them, by name."""

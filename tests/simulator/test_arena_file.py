@@ -110,3 +110,10 @@ def test_simplifying_never_changes_the_betti_numbers() -> None:
         assert simplify_arena(arena, tolerance=0.2).betti == arena.betti
     except ArenaError as error:
         assert "give a smaller --arena-simplify" in str(error)  # noqa: PT017  # either outcome keeps the law
+
+
+@pytest.mark.parametrize("scale", ["1e300", "1e-300", "1e-62"])
+def test_scales_beyond_all_measure_are_refused(tmp_path: Path, scale: str) -> None:
+    (tmp_path / "room.geojson").write_text('{"type": "Polygon", "coordinates": [[[0, 0], [10, 0], [10, 10], [0, 10], [0, 0]]]}')
+    with pytest.raises(ArenaError, match=r"extent|beyond any number"):
+        load_arena_file(tmp_path / "room.geojson", scale=float(scale))

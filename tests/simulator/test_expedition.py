@@ -107,3 +107,11 @@ def test_what_is_no_snapshot_is_told_with_its_name(tmp_path: Path) -> None:
         assert done.returncode == 1
         assert problem in done.stderr
         assert "Traceback" not in done.stderr
+
+
+def test_a_place_that_takes_no_snapshot_is_told_before_anybody_walks(tmp_path: Path) -> None:
+    process = start_run(tmp_path, "--snapshot", str(tmp_path / "none" / "run.snapshot"))
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "cannot be written: No such file" in told
+    assert not (tmp_path / "out").exists()

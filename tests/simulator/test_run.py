@@ -227,3 +227,19 @@ def test_a_failed_run_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="power"), OutputDirectory(tmp_path / "out"):
         raise RuntimeError("power")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_of_another_kind_leaves_nothing_of_the_earlier_one(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(config(out, scenario="closing-door", sensing="beacon"))
+    (out / "mine.txt").write_text("kept")
+    assert {"arena_1.geojson", "encounters_true.csv", "observations.csv"} < {path.name for path in out.iterdir()}
+    run(config(out, force=True))
+    assert sorted(path.name for path in out.iterdir()) == sorted([*FILES, "mine.txt"])
+
+
+@pytest.mark.parametrize(("preset", "scenario"), [("paper-units", "no-obstacle"), ("hisser-field", "two-obstacles")])
+def test_the_expected_number_of_encounters_is_about_what_comes(tmp_path: Path, preset: str, scenario: str) -> None:
+    run(config(tmp_path / "out", preset=preset, scenario=scenario, biobots=None, duration_s=None))
+    told = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert told["counts"]["encounters"] == pytest.approx(told["expected_encounters"], rel=0.2)

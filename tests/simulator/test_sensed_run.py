@@ -34,7 +34,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_exact_encounters_are_those_of_the_ideal_run(results: Path, tmp_path: Path) -> None:
-    run(config(tmp_path / "ideal", sensing="ideal"))
+    run(config(tmp_path / "ideal", sensing="ideal", radio="ideal"))
     assert (results / "encounters_true.csv").read_bytes() == (tmp_path / "ideal" / "encounters.csv").read_bytes()
     assert (results / "modes.csv").read_bytes() == (tmp_path / "ideal" / "modes.csv").read_bytes()
     assert not (tmp_path / "ideal" / "observations.csv").exists()
@@ -107,7 +107,7 @@ def test_flags_choose_the_sensing_and_a_bad_one_is_told(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     told = json.loads((tmp_path / "out" / "run.json").read_text())["sensing"]
     assert (told["beacon_period_s"], told["radio"]["preset"], told["radio"]["csma"]) == (0.5, "rubble", False)
-    refused = biobot_sim("run", "--check-config", "--radio", "sewer")
+    refused = biobot_sim("run", "--check-config", "--sensing", "beacon", "--radio", "sewer")
     assert refused.returncode == 2
     assert "no radio preset is called 'sewer'" in refused.stderr
 
@@ -127,3 +127,9 @@ def test_a_setting_that_cannot_be_sensed_is_refused_before_the_run(
     with pytest.raises(error, match=message):
         run(config(tmp_path / "out", **changed))
     assert not list(tmp_path.iterdir())
+
+
+def test_keys_of_beacons_are_refused_where_none_are_sent() -> None:
+    refused = biobot_sim("run", "--scenario", "no-obstacle", "--seed", "1", "--out", "out", "--radio", "rubble", "--enter-dbm", "-50")
+    assert refused.returncode == 2
+    assert "enter_dbm, radio: of no use where sensing is ideal" in refused.stderr
