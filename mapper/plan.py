@@ -162,7 +162,7 @@ def _check_shape(area: float, perimeter: float, *, detection_radius: float) -> l
     if perimeter < least * (1.0 - _ROUNDING):
         return [f"--perimeter is {perimeter:g} m; wanted at least {least:.4g} m, that of a disc of {area:g} m²; add up all walls in metres"]
     width = 2.0 * area / perimeter  # of a corridor of this area and perimeter; half the side of a square
-    if detection_radius > width:
+    if detection_radius > width * (1.0 + _ROUNDING):
         limit = f"wanted at most {width:.4g} m, twice area over perimeter"
         next_step = "whoever sees from wall to wall resolves nothing: give a smaller radius or a larger arena"
         return [f"--detection-radius is {detection_radius:g} m; {limit}; {next_step}"]
