@@ -146,7 +146,7 @@ int engine_replace_walls(engine *e, int32_t n, const double *start, const double
         leave_cell(e, i);
         find_cell(e, one);
         enter_cell(e, i);
-        one->touched = one->passed_wall = -1;
+        one->touched = one->wall = one->passed_wall = one->next_wall = one->next_passed = -1;
         one->resume = WALK;
         one->version++;
     }

@@ -341,3 +341,12 @@ def test_turns_have_the_persistence_asked_for() -> None:
 def test_parameters_that_make_no_sense_are_refused(changed: dict[str, float], problem: str) -> None:
     with pytest.raises(ParameterError, match=problem):
         MotionParameters(speed=1.0, mean_leg=1.0, **changed)  # type: ignore[arg-type]  # names and values from the table above
+
+
+def test_a_world_whose_walls_have_become_fewer_can_be_put_on_disk() -> None:
+    """Wall followers remember walls by number; those numbers mean nothing between other walls."""
+    world = World(build_arena(cut_out(box(0, 0, 10, 10), box(3, 3, 7, 7))), motion=FOLLOWING, ranges=RANGES, ids=range(1, 31), seed=3)
+    world.advance(20.0)
+    world.replace_arena(square(10.0))
+    world.advance(20.5)
+    assert World.restore(world.snapshot()).advance(30.0) == world.advance(30.0)
