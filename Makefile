@@ -10,8 +10,9 @@ help:  ## list the targets
 
 venv: $(STAMP)  ## make .venv with everything, pinned and hashed; every console script runs from it
 ENGINE := $(wildcard simulator/engine/*.[ch])
-$(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh hatch_build.py $(ENGINE)
+$(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh scripts/compiler.sh hatch_build.py $(ENGINE)
 	sh scripts/bootstrap.sh $(VENV)
+	sh scripts/compiler.sh
 	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable .
 	touch $(STAMP)
