@@ -295,14 +295,8 @@ class World:
 
     def neighbours(self, biobot_id: int) -> set[int]:
         """Return the ids within the communication radius now, without its own; walls do not hinder radio."""
-        row = self._find(biobot_id)
-        apart = self.positions()
-        apart -= apart[row].copy()
-        if self._torus:  # to the nearest image
-            side = self._bounds[2] - self._bounds[0]
-            apart -= side * np.rint(apart / side)
-        near = (apart**2).sum(axis=1) <= self._ranges.communication**2
-        return {self._ids[other] for other in np.flatnonzero(near) if other != row}
+        self._find(biobot_id)
+        return self.adjacency()[biobot_id]
 
     def adjacency(self) -> dict[int, set[int]]:
         """Return every biobot's neighbours within the communication radius now: id to ids."""
