@@ -127,7 +127,7 @@ class World:
 
     @property
     def n_steps(self) -> int:
-        """Events of all kinds worked off so far: legs, crossings of cells, encounters."""
+        """Engine events so far: legs, crossings of cells, encounters."""
         return self._engine.n_steps
 
     def advance(self, until_s: float, *, progress: Callable[[float], None] | None = None) -> list[Event]:
@@ -240,9 +240,8 @@ class World:
 
     def position(self, biobot_id: int, *, at_s: float | None = None) -> tuple[float, float]:
         """Return where a biobot is [length], or was at ``at_s`` [s]."""
-        at = self._now_s if at_s is None else at_s
-        place = self.positions()[self._find(biobot_id)] if at == self._now_s else self.positions_of([biobot_id], [at])[0]
-        return float(place[0]), float(place[1])
+        x, y = self.positions(at_s=at_s)[self._find(biobot_id)].tolist()
+        return x, y
 
     def positions(self, *, at_s: float | None = None) -> Floats:
         """Return where all biobots are, or were at ``at_s`` [s]: shape (n, 2) [length], rows as in ``ids``."""
@@ -264,10 +263,8 @@ class World:
 
         Parameters
         ----------
-        biobot_ids
-            Which biobots, length k; one may come many times.
-        t_s
-            An instant for each [s], length k.
+        biobot_ids, t_s
+            Which biobots, length k, of which one may come many times; and an instant for each [s], length k.
 
         Returns
         -------
