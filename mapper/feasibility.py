@@ -15,7 +15,8 @@ from math import comb, exp, expm1, inf, pi, sqrt
 from mapper.plan import Plan
 
 _PLACES = 60  # halvings of an interval of times: exact to rounding
-_FURTHEST = 1e6  # times a plan's own time; later than that is never
+FURTHEST = 1e6
+"""So many times a plan's own time are looked ahead."""
 
 
 def wall_share(plan: Plan) -> float:
@@ -153,7 +154,7 @@ def time_until(plan: Plan, is_so: Callable[[Plan], bool]) -> float | None:
     low, high = 0.0, plan.duration_s
     while not is_so(replace(plan, duration_s=high)):
         low, high = high, 2.0 * high
-        if high > _FURTHEST * plan.duration_s:
+        if high > FURTHEST * plan.duration_s:
             return None
     for _ in range(_PLACES):
         middle = (low + high) / 2.0

@@ -10,6 +10,7 @@ from pathlib import Path
 from mapper import feasibility
 from mapper.encounter_csv import read_encounters
 from mapper.errors import TooFewEncountersError
+from mapper.feasibility import FURTHEST
 from mapper.forecast import Comparison, Forecast, Outlook, compare_recording, duration_text, forecast
 from mapper.plan import check_obstacle, make_plan
 from mapper.report import JsonObject, JsonValue
@@ -173,12 +174,13 @@ def _wrapped(text: str) -> list[str]:
 def _when(foretold: Forecast) -> str:
     size = f"an obstacle of {foretold.obstacle:.3g} m"
     if foretold.obstacle_s is None:
-        told = f"{size} is never found in 80 % of maps, however long these biobots walk"
+        told = f"{size} is not found in 80 % of maps even in {duration_text(FURTHEST * foretold.plan.duration_s)}"
     else:
         told = f"{size} is found in 80 % of maps after {duration_text(foretold.obstacle_s)}"
     if foretold.obstacle_biobots is None:
         return f"{told}; no number of biobots does it in {duration_text(foretold.plan.duration_s)}"
-    return f"{told}; in {duration_text(foretold.plan.duration_s)} it takes {foretold.obstacle_biobots} biobots"
+    swarm = f"{foretold.obstacle_biobots} biobots, with landmarks in the same proportion"
+    return f"{told}; in {duration_text(foretold.plan.duration_s)} it takes {swarm}"
 
 
 def _theory(foretold: Forecast) -> str:

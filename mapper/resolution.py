@@ -136,5 +136,5 @@ def largest_checked(plan: Plan, law: Law) -> float:
 
 
 def time_to_find(plan: Plan, law: Law, *, obstacle: float, chance: float = USUAL_CHANCE) -> float | None:
-    """Return how long it takes until a square obstacle of this side [m] is found with a chance [s]; None: never, however long."""
+    """Return how long it takes until a square obstacle of this side [m] is found with a chance [s]; None: not in what is looked at."""
     return time_until(plan, lambda later: chance_found(later, law, obstacle=obstacle) >= chance)

@@ -10,6 +10,7 @@ from enum import StrEnum
 from simulator.errors import ParameterError
 
 _BISECTIONS = 200
+_MOST_APART = 100.0
 
 
 class WallLaw(StrEnum):
@@ -108,6 +109,7 @@ class MotionParameters:
         for name in ("longest_leg", "wall_speed", "battery_life_s"):
             if getattr(self, name) is not None:
                 _need(name, getattr(self, name), at_least=0.0, is_open=True)
+        self._check_wall_speed()
         for one in fields(self):
             if one.name.endswith(("_hazard", "_gain", "_rest_s", "_log_sd", "_radius")):
                 _need(one.name, getattr(self, one.name), at_least=0.0)
@@ -125,6 +127,26 @@ class MotionParameters:
             raise ParameterError(name="mishap_rest_s", got=self.mishap_rest_s, wanted="a mean time above 0 where insects get stuck")
         if self.contact_turns and not self.contact_radius:
             raise ParameterError(name="contact_radius", got=self.contact_radius, wanted="a radius above 0 where insects turn at a touch")
+
+    def idle(self) -> tuple[str, ...]:
+        """Return the names of what is set and yet has no effect, because something that it needs is not."""
+        stops = self.stop_hazard or (self.wall_stop_hazard and self.wall_law is WallLaw.FOLLOW)
+        needs = {
+            "wall_speed": self.wall_law is WallLaw.FOLLOW,
+            "exit_hazard": self.wall_law is WallLaw.FOLLOW,
+            "departure_log_sd": self.wall_law is WallLaw.FOLLOW and self.exit_hazard,
+            "wall_stop_hazard": self.wall_law is WallLaw.FOLLOW,
+            "longest_leg": self.levy_exponent is not None,
+            "short_rest_s": stops,
+            "long_rest_s": stops and self.long_rest_share,
+            "long_rest_share": stops,
+            "company_stop_gain": self.contact_radius and stops,
+            "company_rest_gain": self.contact_radius and stops,
+            "mishap_rest_s": self.mishap_hazard,
+            "rescue_probability": self.contact_radius and self.mishap_hazard,
+            "battery_spread": self.battery_life_s is not None,
+        }
+        return tuple(name for name, has_effect in needs.items() if getattr(self, name) and not has_effect)
 
     @property
     def cut_off(self) -> float:
@@ -160,6 +182,12 @@ class MotionParameters:
         rests = {one.name: getattr(self, one.name) / factor for one in fields(self) if one.name.endswith("_rest_s")}
         wall_speed = None if self.wall_speed is None else self.wall_speed * factor
         return replace(self, speed=self.speed * factor, wall_speed=wall_speed, **hazards, **rests)
+
+    def _check_wall_speed(self) -> None:
+        low, high = self.speed / _MOST_APART, self.speed * _MOST_APART
+        if self.wall_speed is not None and not low <= self.wall_speed <= high:
+            wanted = f"{low:g} to {high:g}, a hundredth to a hundred times the speed"
+            raise ParameterError(name="wall_speed", got=self.wall_speed, wanted=wanted)
 
 
 def _mean_of_power_law(exponent: float, shortest: float, longest: float) -> float:

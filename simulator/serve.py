@@ -3,6 +3,7 @@
 import argparse
 import asyncio
 import contextlib
+import dataclasses
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
@@ -26,6 +27,7 @@ from simulator.presets import find_preset
 from simulator.radios import radio_flags
 from simulator.radios.coverage import CoverageConfig, spread_places
 from simulator.radios.radio import choose_radio
+from simulator.radios.radio_keys import BEACON_KEYS
 from simulator.sensed_run import sensing_config
 from simulator.serve_config import ServeConfig
 from simulator.service import Cast, Service
@@ -237,7 +239,9 @@ def _describe(config: ServeConfig, setting: Setting) -> dict[str, object]:
             "sensing": config.sensing,
             "beacon_period_s": config.beacon_period_s if config.sensing == "beacon" else None,
             "radio": config.radio,
+            **{name: value for name in BEACON_KEYS if (value := getattr(config, name)) is not None},
         },
+        "motion": dataclasses.asdict(setting.motion),
         "arena_area": setting.arena.area,
         "betti_numbers": [setting.arena.betti.components, setting.arena.betti.holes],
     }

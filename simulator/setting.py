@@ -164,6 +164,9 @@ def choose_setting(config: WorldConfig) -> Setting:
         arena_counts=file.counts,
     )
     _check_extent(setting)
+    idle = [name for name in setting.motion.idle() if getattr(config.motion, name) is not None]
+    if idle:
+        log.warning("motion.without_effect", keys=", ".join(idle), hint="docs/simulator.md says what each needs")
     if setting.motion.wall_law is WallLaw.FOLLOW and not setting.motion.exit_hazard:
         log.warning("walls.never_left", hint="insects that have met a wall follow it for ever; give motion.exit_hazard, 0.12 /s for larvae")
     return setting

@@ -15,6 +15,7 @@ from simulator.errors import ArenaError, ParameterError
 from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged, SilenceReason
 from simulator.legs import Legs
 from simulator.motion import MotionParameters, WallLaw
+from simulator.presets import PRESETS
 from simulator.world import World
 from tests.simulator.arenas import FIVE, arenas, cut_out, one_obstacle, square
 from tests.simulator.test_walk import check_inside
@@ -334,6 +335,7 @@ def test_turns_have_the_persistence_asked_for() -> None:
         ({"mishap_hazard": 0.1}, "mishap_rest_s is 0.0"),
         ({"contact_turns": True}, "contact_radius is 0.0"),
         ({"exit_hazard": -0.1}, "exit_hazard is -0.1"),
+        ({"wall_speed": 1e5}, "wall_speed is 100000.0; wanted 0.01 to 100, a hundredth to a hundred times the speed"),
         ({"departure_median_deg": 200.0}, "departure_median_deg is 200.0"),
         ({"battery_life_s": math.nan}, "battery_life_s is nan"),
     ],
@@ -350,3 +352,9 @@ def test_a_world_whose_walls_have_become_fewer_can_be_put_on_disk() -> None:
     world.replace_arena(square(10.0))
     world.advance(20.5)
     assert World.restore(world.snapshot()).advance(30.0) == world.advance(30.0)
+
+
+def test_what_is_set_without_effect_is_named() -> None:
+    idle = MotionParameters(speed=1.0, mean_leg=1.0, wall_speed=2.0, longest_leg=5.0, long_rest_s=3.0, rescue_probability=0.5).idle()
+    assert idle == ("wall_speed", "longest_leg", "long_rest_s", "rescue_probability")
+    assert not any(preset.motion.idle() for preset in PRESETS.values())
