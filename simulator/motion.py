@@ -159,11 +159,6 @@ class MotionParameters:
         return (1.0 - self.long_rest_share) * self.short_rest_s + self.long_rest_share * self.long_rest_s
 
     @property
-    def top_speed(self) -> float:
-        """The greater of the two speeds [length/s]."""
-        return self.speed if self.wall_speed is None else max(self.speed, self.wall_speed)
-
-    @property
     def shortest_leg(self) -> float:
         """The least leg of the power law whose mean is ``mean_leg`` [length]; ``mean_leg`` itself for exponential legs."""
         if self.levy_exponent is None:

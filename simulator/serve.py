@@ -112,9 +112,9 @@ def main(args: argparse.Namespace) -> int:
             find_scenario(config.scenario)
         sys.stdout.write(f"{args.config or 'defaults and environment'}: the configuration is valid\n")
         return 0
+    set_up_logging()  # the setting has warnings of its own
     setting = choose_setting(config)
     lines = parse_lines(config.links)
-    set_up_logging()
     with contextlib.ExitStack() as stack:
         output = open_output(stack, out=config.out, force=config.force)
         world = World(

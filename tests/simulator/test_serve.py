@@ -236,3 +236,12 @@ def test_a_configuration_is_checked_without_opening_anything(tmp_path: Path) -> 
     assert "valid" in process.communicate(timeout=DEADLINE_S)[0]
     assert process.returncode == 0
     assert os.listdir(tmp_path) == ["serve.toml"]  # noqa: PTH208
+
+
+def test_warnings_of_the_setting_come_whole(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "simulator", "serve", "--scenario", "no-obstacle", "--seed", "1", "--biobots", "5", "--duration", "0.2",
+               "--link", f"pty:{tmp_path / 'dongle'}", "--wall-law", "follow", "--drain-s", "0"]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0
+    warning = next(json.loads(line) for line in done.stderr.splitlines() if "walls.never_left" in line)
+    assert "exit_hazard" in warning["hint"]
