@@ -239,8 +239,9 @@ def test_a_configuration_is_checked_without_opening_anything(tmp_path: Path) -> 
 
 
 def test_warnings_of_the_setting_come_whole(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "simulator", "serve", "--scenario", "no-obstacle", "--seed", "1", "--biobots", "5", "--duration", "0.2",
-               "--link", f"pty:{tmp_path / 'dongle'}", "--wall-law", "follow", "--drain-s", "0"]  # fmt: skip
+    place = ["--scenario", "no-obstacle", "--seed", "1", "--biobots", "5", "--wall-law", "follow"]
+    line = ["--link", f"pty:{tmp_path / 'dongle'}", "--duration", "0.2", "--drain-s", "0"]
+    command = [sys.executable, "-m", "simulator", "serve", *place, *line]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0
     warning = next(json.loads(line) for line in done.stderr.splitlines() if "walls.never_left" in line)
