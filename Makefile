@@ -9,8 +9,8 @@ help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 26
 
 venv: $(STAMP)  ## make .venv with everything, pinned and hashed; every console script runs from it
-ENGINE := $(wildcard simulator/engine/*.[ch])
-$(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh scripts/compiler.sh hatch_build.py $(ENGINE)
+SOURCES := $(wildcard simulator/engine/*.[ch] mapper/kernels/*.[ch])
+$(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh scripts/compiler.sh hatch_build.py $(SOURCES)
 	sh scripts/bootstrap.sh $(VENV)
 	sh scripts/compiler.sh
 	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
@@ -63,6 +63,6 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) simulator/engine/*.so build dist demo-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) simulator/engine/*.so mapper/kernels/*.so build dist demo-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 .PHONY: help venv demo test check format format-check lint types layers system-packages train theory bench-sim campaign-walls lock docker-check clean

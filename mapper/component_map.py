@@ -8,7 +8,7 @@ import numpy as np
 from mapper.betti import judge_intervals
 from mapper.embedding import embed_in_plane
 from mapper.encounter_graph import EncounterGraph
-from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, shortest_times
+from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, times_to
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_hole
 from mapper.persistence import rips_persistence
@@ -104,7 +104,7 @@ def map_component(
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
         ),
-        encounters=graph.first_encounter[sample.vertices],
+        encounters=graph.first_encounter[sample.vertices].astype(np.int64),
         coordinates=embedding.coordinates,
         holes=holes,
         skeleton=build_skeleton(lengths, epsilon=epsilon),
@@ -137,10 +137,10 @@ def _compare_and_filter(
         )
         begin("outliers")
         return metric, _inliers(metric, recipe)
-    bracket = bracket_profiles(shortest_times(graph, references).T, references)
+    bracket = bracket_profiles(times_to(graph, references), references, kernels=graph.kernels)
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
-    profiles = bracket.middle.copy(order="F")
+    profiles = bracket.middle
     profiles[kept] = smooth_profiles(profiles[kept], n_neighbours=round(recipe.smoothing_share * graph.n_vertices))
     return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept
 

@@ -5,16 +5,16 @@ most 2n edges: the sums along one biobot's encounters telescope, so only consecu
 distance zero (a landmark's community, equal times, a stop) is contracted to one vertex.
 """
 
-from collections.abc import Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import overload
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
 
 from firmware_protocol.contract.records import Cause, Mode
-from mapper.types import BoolArray, EncounterTable, FloatArray, IntArray, ModeSpell
+from mapper.kernels import Contraction, Kernels, Links, Rows, Stands, VertexArray, choose_kernels
+from mapper.types import EncounterTable, IntArray, ModeSpell
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,20 +23,26 @@ class EncounterGraph:
 
     Attributes
     ----------
-    weights
-        Symmetric, shape (v, v), no zeros and no duplicates; time between two vertices [ticks], whole numbers held as float64.
+    rows
+        Edges by vertex, both ways, each once; times [ticks], whole numbers held as float64.
+    links
+        The same steps in the order of time, for sweeps.
     first_encounter
         Row in the encounter table of the earliest encounter of each vertex, shape (v,), strictly ascending.
     multiplicity
         How many encounters each vertex stands for, shape (v,).
     landmarks
         Vertices at which a landmark stood, shape (l,), ascending. Landmarks that met while standing share one.
+    kernels
+        What computes on it.
     """
 
-    weights: csr_array[np.float64]
-    first_encounter: IntArray
-    multiplicity: IntArray
+    rows: Rows
+    links: Links
+    first_encounter: VertexArray
+    multiplicity: VertexArray
     landmarks: IntArray
+    kernels: Kernels
 
     @property
     def n_vertices(self) -> int:
@@ -49,8 +55,71 @@ class EncounterGraph:
         return int(self.multiplicity.sum())
 
 
-def build_encounter_graph(table: EncounterTable, spells: Sequence[ModeSpell], *, moving_time: bool) -> EncounterGraph:
-    """Join the encounters that follow each other for one biobot, and contract those at distance zero.
+class Components(Sequence[EncounterGraph]):
+    """The connected components of a graph, the one with most encounters first; each is cut out when it is asked for.
+
+    ``sizes`` are their encounters. Components with as many are in the order of their first encounters.
+    """
+
+    def __init__(self, whole: Contraction, kernels: Kernels) -> None:
+        self._whole = whole
+        self._kernels = kernels
+        by_number = np.bincount(whole.component, weights=whole.multiplicity).astype(np.int64)
+        # Numbers follow the first vertices, so a stable order gives ties to the earlier.
+        self._numbers = np.argsort(-by_number, kind="stable")
+        self.sizes: list[int] = by_number[self._numbers].tolist()
+
+    @property
+    def has_landmarks(self) -> bool:
+        """Say whether any component has a landmark."""
+        return bool(self._whole.is_landmark.any())
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    @overload
+    def __getitem__(self, index: int) -> EncounterGraph: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[EncounterGraph, ...]: ...
+    def __getitem__(self, index: int | slice) -> EncounterGraph | tuple[EncounterGraph, ...]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(*index.indices(len(self))))
+        return self._cut_out(int(self._numbers[index]))
+
+    def __iter__(self) -> Iterator[EncounterGraph]:
+        return (self[i] for i in range(len(self)))
+
+    def _cut_out(self, number: int) -> EncounterGraph:
+        whole, rows, links = self._whole, self._whole.rows, self._whole.links
+        if len(self) > 1:
+            is_inside = whole.component == number
+            new_number = np.cumsum(is_inside, dtype=np.int32) - np.int32(1)
+            degrees = np.diff(rows.starts)
+            is_edge, is_link = np.repeat(is_inside, degrees), is_inside[links.sources]
+            rows = Rows(
+                starts=np.concatenate([[0], np.cumsum(degrees[is_inside])]).astype(np.int64),
+                neighbours=new_number[rows.neighbours[is_edge]],
+                times=rows.times[is_edge],
+            )
+            links = Links(
+                sources=new_number[links.sources[is_link]], targets=new_number[links.targets[is_link]], times=links.times[is_link]
+            )
+        else:
+            is_inside = np.ones(len(whole.component), dtype=bool)
+        return EncounterGraph(
+            rows=rows,
+            links=links,
+            first_encounter=whole.first_encounter[is_inside],
+            multiplicity=whole.multiplicity[is_inside],
+            landmarks=np.flatnonzero(whole.is_landmark[is_inside]),
+            kernels=self._kernels,
+        )
+
+
+def build_components(
+    table: EncounterTable, spells: Sequence[ModeSpell], *, moving_time: bool, kernels: Kernels | None = None
+) -> Components:
+    """Join the encounters that follow each other for one biobot, contract those at distance zero, and take the components apart.
 
     Parameters
     ----------
@@ -59,149 +128,50 @@ def build_encounter_graph(table: EncounterTable, spells: Sequence[ModeSpell], *,
         eq. 5, 7). Walking spells carry no information here.
     moving_time
         Weigh an edge by the time its biobot spent walking in between, in place of the elapsed time.
+    kernels
+        What computes on the graphs; None takes the best there are.
 
     Notes
     -----
     A biobot with several commanded spells makes one place for each. Spells that touch or overlap count as one.
-    Weights are exact up to 2**53 ticks (52 days); longer ones are rounded to float64.
+    Times are exact up to 2**53 ticks (52 days); longer ones are rounded to float64.
     """
-    n = len(table)
-    origin = int(table.t_start_ns.min()) if n else 0
-    centre = (table.t_start_ns - origin) + (table.t_end_ns - origin)
-    biobots, biobot_of = np.unique(np.concatenate([table.id1, table.id2]), return_inverse=True)
-    encounter_of = np.tile(np.arange(n), 2)
-    order = np.lexsort((encounter_of, centre[encounter_of], biobot_of))
-    biobot_of, encounter_of = biobot_of[order], encounter_of[order]
-    clock = centre[encounter_of].copy()
-    place = np.full(2 * n, -1, dtype=np.int64)
-    rows_of = _rows_of_biobots(biobot_of, len(biobots))
-    last_ns = int(table.t_end_ns.max()) if n else 0
-    n_places = 0
-    for index, static, commanded in _static_spells(spells, biobots, origin=origin, last_ns=last_ns):
-        rows = rows_of[index]
-        at = clock[rows].copy()
-        spell = np.searchsorted(commanded[:, 0], at, side="right") - 1
-        inside = (spell >= 0) & (at <= commanded[spell, 1]) if len(commanded) else np.zeros(len(at), dtype=bool)
-        place[rows] = np.where(inside, n_places + spell, -1)
-        n_places += len(commanded)
-        if moving_time:
-            clock[rows] = at - _time_inside(static, at)
-    return _contract(
-        n=n,
-        encounter_of=encounter_of,
-        is_chained=biobot_of[1:] == biobot_of[:-1],
-        step=np.diff(clock),
-        is_one_place=(place[1:] >= 0) & (place[1:] == place[:-1]),
-        landmark_encounters=encounter_of[place >= 0],
-    )
+    kernels = kernels or choose_kernels()
+    origin = int(table.t_start_ns.min()) if len(table) else 0
+    last_ns = int(table.t_end_ns.max()) if len(table) else 0
+    centres = (table.t_start_ns - origin) + (table.t_end_ns - origin)
+    still, commanded = _static_spells(spells, origin=origin, last_ns=last_ns)
+    whole = kernels.contract(centres, table.id1, table.id2, still=still, commanded=commanded, moving_time=moving_time)
+    return Components(whole, kernels)
 
 
-def split_components(graph: EncounterGraph) -> tuple[EncounterGraph, ...]:
-    """Take the connected components apart, the one with most encounters first; ties go to the earlier first encounter."""
-    n_components, label = connected_components(graph.weights, directed=False)
-    if n_components <= 1:
-        return (graph,) if graph.n_vertices else ()
-    size = np.bincount(label, weights=graph.multiplicity, minlength=n_components)
-    members = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
-    is_landmark = np.zeros(graph.n_vertices, dtype=bool)
-    is_landmark[graph.landmarks] = True
-    # Sorted by component the matrix is block diagonal; each block is cut out without a look at the others.
-    blocks = csr_array(graph.weights[np.concatenate(members)][:, np.concatenate(members)])
-    ends = np.cumsum([len(inside) for inside in members])
-    parts = []
-    for component in sorted(range(n_components), key=lambda c: (-size[c], members[c][0])):
-        inside, end = members[component], int(ends[component])
-        begin = end - len(inside)
-        edges = slice(blocks.indptr[begin], blocks.indptr[end])
-        rows = blocks.indptr[begin : end + 1] - blocks.indptr[begin]
-        parts.append(
-            EncounterGraph(
-                weights=csr_array((blocks.data[edges], blocks.indices[edges] - begin, rows), shape=(len(inside), len(inside))),
-                first_encounter=graph.first_encounter[inside],
-                multiplicity=graph.multiplicity[inside],
-                landmarks=np.flatnonzero(is_landmark[inside]),
-            )
-        )
-    return tuple(parts)
-
-
-def _rows_of_biobots(biobot_of: IntArray, n_biobots: int) -> list[slice]:
-    bounds = np.searchsorted(biobot_of, np.arange(n_biobots + 1))
-    return [slice(a, b) for a, b in pairwise(bounds.tolist())]
-
-
-def _static_spells(
-    spells: Sequence[ModeSpell], biobots: IntArray, *, origin: int, last_ns: int
-) -> Iterable[tuple[int, IntArray, IntArray]]:
-    """Yield index of a biobot, its static spells and its commanded ones, merged, as (m, 2) [ticks since ``origin``]."""
-    index_of = {int(node): index for index, node in enumerate(biobots)}
-    static: dict[int, list[tuple[int, int]]] = {}
-    commanded: dict[int, list[tuple[int, int]]] = {}
+def _static_spells(spells: Sequence[ModeSpell], *, origin: int, last_ns: int) -> tuple[Stands, Stands]:
+    """Return all static spells, and the commanded ones, merged."""
+    static: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+    commanded: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
     for spell in spells:
-        index = index_of.get(int(spell.node))
-        if index is None or spell.mode is not Mode.S:
+        if spell.mode is not Mode.S:
             continue
         end_ns = last_ns if spell.t_end_ns is None else min(spell.t_end_ns, last_ns)
         interval = (2 * (max(spell.t_start_ns, origin) - origin), 2 * (end_ns - origin))
         if interval[0] <= interval[1]:
-            static.setdefault(index, []).append(interval)
+            static[spell.node].append(interval)
             if spell.cause is Cause.COMMAND:
-                commanded.setdefault(index, []).append(interval)
-    for index in sorted(static):
-        yield index, _merge(static[index]), _merge(commanded.get(index, []))
+                commanded[spell.node].append(interval)
+    return _stands(static), _stands(commanded)
 
 
-def _merge(intervals: list[tuple[int, int]]) -> IntArray:
+def _stands(intervals_of: dict[int, list[tuple[int, int]]]) -> Stands:
+    rows = [(node, begin, end) for node in sorted(intervals_of) for begin, end in _merge(intervals_of[node])]
+    columns = np.array(rows, dtype=np.int64).reshape(-1, 3)
+    return Stands(nodes=columns[:, 0], begins=columns[:, 1], ends=columns[:, 2])
+
+
+def _merge(intervals: list[tuple[int, int]]) -> list[list[int]]:
     merged: list[list[int]] = []
     for begin, end in sorted(intervals):
         if merged and begin <= merged[-1][1]:
             merged[-1][1] = max(merged[-1][1], end)
         else:
             merged.append([begin, end])
-    return np.array(merged, dtype=np.int64).reshape(-1, 2)
-
-
-def _time_inside(intervals: IntArray, at: IntArray) -> IntArray:
-    """Measure how much of the time up to each instant lies inside disjoint sorted intervals."""
-    begin, end = intervals[:, 0], intervals[:, 1]
-    before = np.concatenate([[0], np.cumsum(end - begin)])
-    started = np.searchsorted(begin, at, side="right")
-    last = np.maximum(started - 1, 0)
-    running = np.minimum(at, end[last]) - begin[last]
-    return np.where(started > 0, before[last] + running, 0)
-
-
-def _contract(
-    *, n: int, encounter_of: IntArray, is_chained: BoolArray, step: IntArray, is_one_place: BoolArray, landmark_encounters: IntArray
-) -> EncounterGraph:
-    here, there = encounter_of[:-1], encounter_of[1:]
-    is_zero = is_chained & (is_one_place | (step == 0))
-    same = coo_array((np.ones(int(is_zero.sum()), dtype=bool), (here[is_zero], there[is_zero])), shape=(n, n))
-    _, label = connected_components(same, directed=False)
-    _, first, vertex_of = np.unique(label, return_index=True, return_inverse=True)
-    # Vertices are numbered by their earliest encounter, so that "lowest index" means "earliest".
-    rank = np.empty(len(first), dtype=np.int64)
-    by_first = np.argsort(first)
-    rank[by_first] = np.arange(len(first))
-    vertex_of = rank[vertex_of]
-    is_edge = is_chained & ~is_zero
-    a, b = vertex_of[here[is_edge]], vertex_of[there[is_edge]]
-    return EncounterGraph(
-        weights=_symmetric_minimum(np.minimum(a, b), np.maximum(a, b), step[is_edge].astype(np.float64), n_vertices=len(first)),
-        first_encounter=first[by_first].astype(np.int64),
-        multiplicity=np.bincount(vertex_of, minlength=len(first)).astype(np.int64),
-        landmarks=np.unique(vertex_of[landmark_encounters]),
-    )
-
-
-def _symmetric_minimum(low: IntArray, high: IntArray, weight: FloatArray, *, n_vertices: int) -> csr_array[np.float64]:
-    """Keep the lightest of parallel edges (scipy would add them up) and store each edge both ways."""
-    proper = low != high
-    low, high, weight = low[proper], high[proper], weight[proper]
-    order = np.lexsort((weight, high, low))
-    low, high, weight = low[order], high[order], weight[order]
-    is_first = np.ones(len(low), dtype=bool)
-    is_first[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
-    low, high, weight = low[is_first], high[is_first], weight[is_first]
-    rows, columns = np.concatenate([low, high]), np.concatenate([high, low])
-    return csr_array(coo_array((np.tile(weight, 2), (rows, columns)), shape=(n_vertices, n_vertices)))
+    return merged

@@ -79,6 +79,14 @@ class EngineMissingError(MapError):
         self.library = library
 
 
+class KernelsError(MapError):
+    """The kernels that were asked for cannot be used."""
+
+    def __init__(self, *, problem: str, next_step: str) -> None:
+        super().__init__(f"{problem}; {next_step}")
+        self.problem = problem
+
+
 class StoreError(MapError):
     """The file of records cannot be used; it was not changed."""
 

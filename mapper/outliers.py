@@ -1,11 +1,7 @@
 """Drop the encounters that distort the metric: those far from their nearest neighbours ([Dir16] VI, "Subsampling")."""
 
-import heapq
-
 import numpy as np
-from scipy.spatial import cKDTree
 
-from mapper.encounter_graph import EncounterGraph
 from mapper.metric import EncounterMetric, Metric, ProfileMetric
 from mapper.types import BoolArray, FloatArray, ProfileNorm
 
@@ -45,52 +41,14 @@ def mean_neighbour_distance(metric: Metric, *, k: int) -> FloatArray:
         return np.zeros(metric.graph.n_vertices)
     match metric:
         case EncounterMetric():
-            return _sums_along_graph(metric.graph, k=k) / k
+            return metric.graph.kernels.sum_neighbour_times(metric.graph.rows, metric.graph.multiplicity, k=k) / k
         case ProfileMetric():
             return _sums_between_profiles(metric, k=k) / k
-        case _:
-            raise TypeError(f"no neighbour search for {type(metric).__name__}; wanted EncounterMetric or ProfileMetric")
-
-
-def _sums_along_graph(graph: EncounterGraph, *, k: int) -> FloatArray:
-    """Search from every vertex until k other encounters are settled.
-
-    Rows are sorted by weight and each settled vertex keeps only its next edge in the heap, so a landmark with
-    thousands of edges costs no more than another vertex.
-    """
-    starts: list[int] = graph.weights.indptr.tolist()
-    rows = np.repeat(np.arange(graph.n_vertices), np.diff(graph.weights.indptr))
-    order = np.lexsort((graph.weights.indices, graph.weights.data, rows))
-    target: list[int] = graph.weights.indices[order].tolist()
-    weight: list[float] = graph.weights.data[order].tolist()
-    multiplicity: list[int] = graph.multiplicity.tolist()
-    sums = np.zeros(graph.n_vertices)
-    for source in range(graph.n_vertices):
-        wanted = k - (multiplicity[source] - 1)
-        total = 0.0
-        settled = {source}
-        edge = starts[source]
-        heap = [(weight[edge], edge, 0.0, starts[source + 1])] if wanted > 0 and edge < starts[source + 1] else []
-        while heap and wanted > 0:
-            reached, edge, base, stop = heap[0]
-            if edge + 1 < stop:
-                heapq.heapreplace(heap, (base + weight[edge + 1], edge + 1, base, stop))
-            else:
-                heapq.heappop(heap)
-            vertex = target[edge]
-            if vertex in settled:
-                continue
-            settled.add(vertex)
-            total += reached * min(wanted, multiplicity[vertex])
-            wanted -= multiplicity[vertex]
-            if starts[vertex] < starts[vertex + 1]:
-                first = starts[vertex]
-                heapq.heappush(heap, (reached + weight[first], first, reached, starts[vertex + 1]))
-        sums[source] = total
-    return sums
 
 
 def _sums_between_profiles(metric: ProfileMetric, *, k: int) -> FloatArray:
+    from scipy.spatial import cKDTree  # noqa: PLC0415  # only this way of finding outliers needs it
+
     n, n_references = metric.profiles.shape
     order, scale = (np.inf, 1.0) if metric.norm is ProfileNorm.MAX else (2.0, n_references**-0.5)
     tree = cKDTree(metric.profiles)

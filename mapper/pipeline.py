@@ -8,8 +8,9 @@ import numpy as np
 from firmware_protocol.contract.records import Cause, Mode
 from mapper.betti import load_trained_rules
 from mapper.component_map import PlacedComponent, map_component
-from mapper.encounter_graph import EncounterGraph, build_encounter_graph, split_components
+from mapper.encounter_graph import Components, build_components
 from mapper.errors import TooFewEncountersError
+from mapper.kernels import Kernels
 from mapper.types import (
     TICKS_PER_S,
     EncounterTable,
@@ -32,7 +33,14 @@ _STAGES = ("metric", "outliers", "subsample", "persistence", "embedding")
 _GAP_SHARE = 0.1  # of the largest diameter, between components drawn side by side
 
 
-def compute_map(table: EncounterTable, spells: Sequence[ModeSpell], recipe: Recipe, *, progress: Progress | None = None) -> MapResult:
+def compute_map(
+    table: EncounterTable,
+    spells: Sequence[ModeSpell],
+    recipe: Recipe,
+    *,
+    progress: Progress | None = None,
+    kernels: Kernels | None = None,
+) -> MapResult:
     """Make the map of all encounters of a table.
 
     Every connected component with a fair share of the encounters is mapped by itself: one whose share of the
@@ -45,6 +53,8 @@ def compute_map(table: EncounterTable, spells: Sequence[ModeSpell], recipe: Reci
         Times in which biobots stood still; those by command make landmarks. Of the same clock as ``table``.
     progress
         Told of each stage; called in this thread.
+    kernels
+        What computes on the graphs; None takes the best there are. The map is the same.
 
     Raises
     ------
@@ -58,16 +68,18 @@ def compute_map(table: EncounterTable, spells: Sequence[ModeSpell], recipe: Reci
     report = progress or (lambda _stage, _share: None)
     report("graph", 0.0)
     rules = recipe.betti_rules or load_trained_rules(recipe.method, recipe.metric).rules
-    parts = split_components(build_encounter_graph(table, spells, moving_time=recipe.moving_time))
-    shares = share_points([part.n_encounters for part in parts], n_points=count_points(len(table), recipe))
+    parts = build_components(table, spells, moving_time=recipe.moving_time, kernels=kernels)
+    shares = share_points(parts.sizes, n_points=count_points(len(table), recipe))
     ticks_per_length = TICKS_PER_S / (recipe.speed_mps or 1.0)
     placed = []
-    for index, (part, n_points) in enumerate(zip(parts, shares, strict=False)):
+    for index, n_points in enumerate(shares):
 
         def begin(stage: str, done: int = index) -> None:
             report(stage, (done + _STAGES.index(stage) / len(_STAGES)) / len(shares))
 
-        placed.append(map_component(part, recipe, rules, index=index, n_points=n_points, ticks_per_length=ticks_per_length, begin=begin))
+        placed.append(
+            map_component(parts[index], recipe, rules, index=index, n_points=n_points, ticks_per_length=ticks_per_length, begin=begin)
+        )
     report("done", 1.0)
     warnings = [*_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]
     warnings += [warning for part in placed for warning in part.warnings]
@@ -112,8 +124,8 @@ def share_points(sizes: Sequence[int], *, n_points: int) -> list[int]:
     return shares
 
 
-def _warn_of_landmarks(parts: Sequence[EncounterGraph], spells: Sequence[ModeSpell]) -> list[str]:
-    if any(len(part.landmarks) for part in parts):
+def _warn_of_landmarks(parts: Components, spells: Sequence[ModeSpell]) -> list[str]:
+    if parts.has_landmarks:
         return []
     if any(spell.mode is Mode.S and spell.cause is Cause.COMMAND for spell in spells):
         return [
@@ -124,10 +136,10 @@ def _warn_of_landmarks(parts: Sequence[EncounterGraph], spells: Sequence[ModeSpe
     ]
 
 
-def _warn_of_components(parts: Sequence[EncounterGraph], *, n_mapped: int) -> list[str]:
+def _warn_of_components(parts: Components, *, n_mapped: int) -> list[str]:
     if len(parts) == 1:
         return []
-    left_out = sum(part.n_encounters for part in parts[n_mapped:])
+    left_out = sum(parts.sizes[n_mapped:])
     text = f"the encounters fall into {len(parts)} components that no biobot joins; {n_mapped} mapped apart, betti_numbers are summed"
     if left_out:
         text += f"; {len(parts) - n_mapped} with too few encounters ({left_out} in all) left out"

@@ -8,11 +8,9 @@ better estimate than the path, and their gap says how far the estimate can be tr
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from mapper.kernels import Kernels
 from mapper.types import BoolArray, FloatArray, IntArray
-
-_ROWS_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,13 +25,13 @@ class ProfileBracket:
     doubt: FloatArray
 
 
-def bracket_profiles(times: FloatArray, references: IntArray) -> ProfileBracket:
+def bracket_profiles(times: FloatArray, references: IntArray, *, kernels: Kernels) -> ProfileBracket:
     """Take the middle of the upper and lower bound of every distance to a reference.
 
     Parameters
     ----------
     times
-        Shortest-path time from each vertex to each reference [ticks], shape (v, l), finite: the upper bounds.
+        Shortest-path time from each vertex to each reference [ticks], shape (v, l), finite: the upper bounds. It may be overwritten.
     references
         The vertices that the columns of ``times`` belong to, shape (l,).
 
@@ -43,17 +41,8 @@ def bracket_profiles(times: FloatArray, references: IntArray) -> ProfileBracket:
     one. Both move by no more than the encounter metric between two vertices does, and so does their middle. With one
     reference there is no lower bound and the upper one is taken.
     """
-    half_gap = np.zeros_like(times)
-    between = times[references]
-    n_references = times.shape[1]
-    others = ~np.eye(n_references, dtype=bool)
-    if n_references > 1:
-        for begin in range(0, len(times), _ROWS_AT_ONCE):
-            rows = slice(begin, begin + _ROWS_AT_ONCE)
-            for k in range(n_references):
-                detour = times[rows][:, others[k]] - between[k, others[k]]
-                half_gap[rows, k] = (times[rows, k] + detour.min(axis=1)) / 2
-    return ProfileBracket(middle=times - half_gap, doubt=np.asarray(np.median(half_gap, axis=1)))
+    middle, doubt = kernels.bracket(times, references)
+    return ProfileBracket(middle=middle, doubt=doubt)
 
 
 def keep_well_bracketed(bracket: ProfileBracket, *, q: float) -> BoolArray:
@@ -90,6 +79,8 @@ def smooth_profiles(profiles: FloatArray, *, n_neighbours: int) -> FloatArray:
     n_neighbours = min(n_neighbours, len(profiles) - 1)
     if n_neighbours < 1:
         return profiles
+    from scipy.spatial import cKDTree  # noqa: PLC0415  # TODO
+
     _, nearest = cKDTree(profiles).query(profiles, k=n_neighbours + 1)
     total = np.zeros_like(profiles)
     # Neighbour by neighbour: all of them at once would need v * n_neighbours * l numbers.

@@ -1,11 +1,17 @@
 """Pick few encounters that cover all others: maxmin (furthest-point) sampling."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from mapper.metric import Metric
+from mapper.encounter_graph import EncounterGraph
+from mapper.metric import EncounterMetric, Metric, ProfileMetric
 from mapper.types import BoolArray, FloatArray, IntArray
+
+# Numbers held for the distances from hubs: half a gigabyte.
+_MAX_HUB_NUMBERS: Final = 2**26
+_MIN_HUBS: Final = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,17 +41,20 @@ def subsample_maxmin(metric: Metric, candidates: BoolArray, *, n_points: int) ->
     -----
     The first is the candidate with the earliest encounter, and ties go to the earlier. An outlier is picked early: drop outliers first.
     """
-    eligible = np.flatnonzero(candidates)
-    picked: list[int] = []
-    distances = np.zeros((n_points, n_points))
-    nearest = np.full(len(eligible), np.inf)
-    choice = 0
-    while len(picked) < n_points and nearest[choice] > 0:
-        row = metric.distances_from(int(eligible[choice]))
-        # Symmetric by construction: each distance is computed once, from the later pick to the earlier.
-        distances[len(picked), : len(picked)] = distances[: len(picked), len(picked)] = row[picked]
-        picked.append(int(eligible[choice]))
-        np.minimum(nearest, row[eligible], out=nearest)
-        choice = int(nearest.argmax())
-    m = len(picked)
-    return Subsample(vertices=np.array(picked, dtype=np.int64), distances=distances[:m, :m].copy(), cover_radius=float(nearest.max()))
+    match metric:
+        case EncounterMetric(graph=graph):
+            picks = graph.kernels.pick_along_graph(graph.rows, graph.links, candidates, hubs=_choose_hubs(graph), n_points=n_points)
+            return Subsample(vertices=picks.chosen, distances=picks.distances, cover_radius=picks.cover_radius)
+        case ProfileMetric(graph=graph):
+            eligible = np.flatnonzero(candidates)
+            picks = graph.kernels.pick_profiles(metric.profiles[eligible], norm=metric.norm, n_points=n_points)
+            return Subsample(vertices=eligible[picks.chosen], distances=picks.distances, cover_radius=picks.cover_radius)
+
+
+def _choose_hubs(graph: EncounterGraph) -> IntArray:
+    """Take the landmarks; of more than memory is meant for, those with most encounters. Any set of vertices gives the same result."""
+    limit = max(_MIN_HUBS, _MAX_HUB_NUMBERS // graph.n_vertices)
+    if len(graph.landmarks) <= limit:
+        return graph.landmarks
+    busiest = np.argsort(-graph.multiplicity[graph.landmarks], kind="stable")[:limit]
+    return np.sort(graph.landmarks[busiest])

@@ -74,6 +74,14 @@ class ProfileNorm(StrEnum):
     RMS = "rms"
 
 
+class KernelsKind(StrEnum):
+    """Which implementation of the kernels runs; "auto" takes the compiled ones where they are."""
+
+    AUTO = "auto"
+    COMPILED = "compiled"
+    PLAIN = "plain"
+
+
 class BettiRuleKind(StrEnum):
     """How an interval is judged.
 

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.units import NodeId
@@ -15,6 +15,7 @@ from mapper.pipeline import compute_map, share_points
 from mapper.report import summarize, to_json_object
 from mapper.types import MapResult, Method, MetricKind, ModeSpell, Recipe
 from mapper.window import absent_biobots, make_encounter_table, stationary_spells
+from tests.mapper.graphs import KERNELS
 from tests.mapper.worlds import NS, Row, encounter_rows, mode_spells, table_of, walk_track
 
 RECIPES = [make_recipe(RecipeConfig(method=method, metric=metric)) for method in Method for metric in MetricKind]
@@ -47,6 +48,22 @@ def test_a_corridor_has_no_hole_and_finite_coordinates(recipe: Recipe) -> None:
     assert result.betti_numbers == (1, 0)
     assert np.isfinite([result.points.x, result.points.y]).all()
     assert np.ptp(result.points.y) < np.ptp(result.points.x)
+
+
+@named
+@given(encounter_rows(max_size=60, n_biobots=8), mode_spells)
+@settings(max_examples=30)
+def test_compiled_and_plain_kernels_make_the_same_map(recipe: Recipe, rows: list[Row], spells: list[ModeSpell]) -> None:
+    assume(len(rows) > 1)
+    compiled, plain = (to_json_object(compute_map(table_of(rows), spells, recipe, kernels=kernels)) for kernels in KERNELS)
+    assert compiled == plain
+
+
+@named
+def test_compiled_and_plain_kernels_make_the_same_map_of_a_ring(recipe: Recipe) -> None:
+    rows, spells = walk_track(n_landmarks=20, n_walkers=30, duration_s=120, seed=5, is_ring=True)
+    compiled, plain = (to_json_object(compute_map(table_of(rows), spells, recipe, kernels=kernels)) for kernels in KERNELS)
+    assert compiled == plain
 
 
 @named

@@ -1,0 +1,68 @@
+"""What kernels take and give: graphs and subsamples as bare arrays. Times are in ticks, whole numbers in float64, exact up to 2**53."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapper.types import BoolArray, FloatArray, IntArray
+
+VertexArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stands:
+    """Times in which biobots stood still; all arrays have shape (m,).
+
+    ``nodes`` ascending; ``begins`` and ``ends`` [ticks since the origin], both inside, ascending and disjoint for each node.
+    """
+
+    nodes: IntArray
+    begins: IntArray
+    ends: IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Links:
+    """Directed steps in the order of time: shape (k,) each; ``times`` [ticks], above 0. Two may join the same vertices."""
+
+    sources: VertexArray
+    targets: VertexArray
+    times: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rows:
+    """Edges by vertex, both ways, each once: ``starts``, shape (v + 1,), ``neighbours`` and ``times`` [ticks], shape (e,).
+
+    A row is sorted by time, then by neighbour.
+    """
+
+    starts: IntArray
+    neighbours: VertexArray
+    times: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Contraction:
+    """A graph of v vertices, made of n encounters.
+
+    ``first_encounter``, ``multiplicity``, ``is_landmark`` and ``component`` have shape (v,): the earliest encounter (ascending), how many
+    there are, whether a landmark stood there, and the number of the connected component, in the order of their first vertices.
+    """
+
+    links: Links
+    rows: Rows
+    first_encounter: VertexArray
+    multiplicity: VertexArray
+    is_landmark: BoolArray
+    component: VertexArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Picks:
+    """Vertices or rows in order of choice, shape (m,), the distances between them, shape (m, m), and their cover radius."""
+
+    chosen: IntArray
+    distances: FloatArray
+    cover_radius: float

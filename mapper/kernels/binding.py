@@ -1,0 +1,74 @@
+"""The kernels' C interface as ctypes sees it: structures, functions, and the library that was built when the package was installed."""
+
+import ctypes
+from ctypes import POINTER, c_double, c_int, c_int32, c_int64, c_void_p
+from pathlib import Path
+
+import numpy as np
+
+LIBRARY = Path(__file__).with_name("_kernels.so")
+
+SPELL = np.dtype([("node", "i8"), ("begin", "i8"), ("end", "i8")])
+
+_Array = c_void_p
+
+
+class Graph(ctypes.Structure):
+    """``graph`` of kernels.h, field by field."""
+
+    _fields_ = (
+        ("n_vertices", c_int32),
+        ("n_components", c_int32),
+        ("n_links", c_int64),
+        ("n_edges", c_int64),
+        ("vertex_of", _Array),
+        ("first_encounter", _Array),
+        ("multiplicity", _Array),
+        ("is_landmark", _Array),
+        ("component", _Array),
+        ("link_from", _Array),
+        ("link_to", _Array),
+        ("link_time", _Array),
+        ("row_start", _Array),
+        ("neighbour", _Array),
+        ("time", _Array),
+    )
+
+
+_ROWS = (_Array, _Array, _Array)
+
+# Name: result, arguments.
+_FUNCTIONS = {
+    "build_graph": (c_int, (_Array, _Array, _Array, c_int32, _Array, c_int64, _Array, c_int64, c_int32, POINTER(Graph))),
+    "sweep_times": (c_int, (c_int64, _Array, _Array, _Array, c_int32, c_int32, _Array, _Array)),
+    "sum_neighbours": (c_int, (*_ROWS, _Array, c_int32, c_int32, c_int32, c_int64, _Array)),
+    "pick_maxmin": (c_int32, (*_ROWS, c_int32, c_int32, _Array, _Array, _Array, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
+    "bracket": (c_int, (_Array, c_int64, c_int32, _Array, _Array)),
+    "pick_profiles": (c_int32, (_Array, c_int64, c_int32, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
+    "kernels_layout": (c_int64, ()),
+}
+
+
+class LibraryMissing(Exception):  # noqa: N818  # a reason, which never leaves this package
+    """The library was not built, cannot be loaded here, or is of other sources than this file."""
+
+
+def load_library() -> ctypes.CDLL:
+    """Load the library.
+
+    Raises
+    ------
+    LibraryMissing
+        See there.
+    """
+    try:
+        library = ctypes.CDLL(str(LIBRARY))
+        for name, (result, arguments) in _FUNCTIONS.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, arguments
+        layout = int(library.kernels_layout())
+    except (OSError, AttributeError) as error:
+        raise LibraryMissing(str(error)) from error
+    if layout != 1000 * ctypes.sizeof(Graph) + SPELL.itemsize:
+        raise LibraryMissing("it was built from other sources")
+    return library

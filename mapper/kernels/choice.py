@@ -1,0 +1,68 @@
+"""Which kernels are used: the compiled ones where the library is there, else the plain ones; ``BIOBOT_KERNELS`` may ask for either."""
+
+import os
+from functools import cache
+from typing import Protocol
+
+from mapper.errors import KernelsError
+from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
+from mapper.kernels.binding import LibraryMissing, load_library
+from mapper.kernels.compiled import CompiledKernels
+from mapper.kernels.plain import PlainKernels
+from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNorm
+
+_VARIABLE = "BIOBOT_KERNELS"
+
+
+class Kernels(Protocol):
+    """The computations that grow with the number of encounters. All are pure; what is said here holds for every implementation."""
+
+    @property
+    def name(self) -> KernelsKind:
+        """Which implementation this is."""
+
+    def contract(
+        self, centres: IntArray, id1: IntArray, id2: IntArray, *, still: Stands, commanded: Stands, moving_time: bool
+    ) -> Contraction:
+        """Join consecutive encounters of each biobot, and contract what lies at distance zero ([Dir16] eq. 6-7).
+
+        ``centres`` [ticks since the origin], not negative, have shape (n,); ``still`` are all static spells, ``commanded`` make landmarks.
+        """
+
+    def sweep_times(self, links: Links, *, n_vertices: int, sources: IntArray) -> FloatArray:
+        """Measure shortest-path times [ticks] from every vertex to some distinct ones: shape (v, sources); inf where there is no path."""
+
+    def sum_neighbour_times(self, rows: Rows, multiplicity: VertexArray, *, k: int) -> FloatArray:
+        """Sum the times from an encounter of each vertex to the k encounters nearest to it [ticks], shape (v,); see `mapper.outliers`."""
+
+    def pick_along_graph(self, rows: Rows, links: Links, candidates: BoolArray, *, hubs: IntArray, n_points: int) -> Picks:
+        """Pick maxmin vertices of a connected graph by shortest-path time; see `mapper.subsampling`. ``hubs`` are on many paths."""
+
+    def bracket(self, times: FloatArray, references: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return middle (v, l) and doubt (v,) of bounds on profiles; see `mapper.profiles`. ``times`` may be overwritten."""
+
+    def pick_profiles(self, profiles: FloatArray, *, norm: ProfileNorm, n_points: int) -> Picks:
+        """Pick maxmin rows of profiles, shape (c, l), c at least 1; see `mapper.subsampling`."""
+
+
+@cache
+def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
+    """Return the kernels asked for, by argument or else by the environment; "auto" takes the compiled ones where they are.
+
+    Raises
+    ------
+    KernelsError
+        The choice is none of the three, or compiled kernels are asked for and not there.
+    """
+    asked = os.environ.get(_VARIABLE, KernelsKind.AUTO) if choice is None else choice
+    if asked not in set(KernelsKind):
+        raise KernelsError(problem=f"{_VARIABLE} is {asked!r}", next_step=f"set it to {', '.join(KernelsKind)}, or not at all")
+    if asked == KernelsKind.PLAIN:
+        return PlainKernels()
+    try:
+        return CompiledKernels(load_library())
+    except LibraryMissing as error:
+        if asked == KernelsKind.COMPILED:
+            next_step = "install gcc and libc6-dev and install the package again, or leave the choice to the program"
+            raise KernelsError(problem=f"no compiled kernels: {error}", next_step=next_step) from error
+        return PlainKernels()

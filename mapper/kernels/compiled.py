@@ -1,0 +1,158 @@
+"""The kernels in C: numpy arrays in, numpy arrays out. The interpreter lock is free while they run."""
+
+import ctypes
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
+from mapper.kernels.binding import SPELL, Graph
+from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNorm
+
+_NORM_NUMBERS: Final = {ProfileNorm.MAX: 0, ProfileNorm.RMS: 1}
+# Fewer rows are not worth a second thread.
+_ROWS_OF_A_THREAD: Final = 20_000
+# Sources measured together where there are many: their rows fill whole vectors.
+_LANES: Final = 32
+
+
+class CompiledKernels:
+    """See `mapper.kernels.Kernels`."""
+
+    name: Final = KernelsKind.COMPILED
+
+    def __init__(self, library: ctypes.CDLL) -> None:
+        self._library = library
+
+    def contract(
+        self, centres: IntArray, id1: IntArray, id2: IntArray, *, still: Stands, commanded: Stands, moving_time: bool
+    ) -> Contraction:
+        """See `Kernels.contract`."""
+        n = len(centres)
+        # Upper bounds: pages that are not written to cost nothing.
+        first, multiplicity, component, vertex_of = (np.empty(n, dtype=np.int32) for _ in range(4))
+        is_landmark = np.empty(n, dtype=np.bool_)
+        link_from, link_to = np.empty(2 * n, dtype=np.int32), np.empty(2 * n, dtype=np.int32)
+        link_time = np.empty(2 * n)
+        starts, neighbours, times = np.empty(n + 1, dtype=np.int64), np.empty(4 * n, dtype=np.int32), np.empty(4 * n)
+        graph = Graph(
+            vertex_of=_address(vertex_of),
+            first_encounter=_address(first),
+            multiplicity=_address(multiplicity),
+            is_landmark=_address(is_landmark),
+            component=_address(component),
+            link_from=_address(link_from),
+            link_to=_address(link_to),
+            link_time=_address(link_time),
+            row_start=_address(starts),
+            neighbour=_address(neighbours),
+            time=_address(times),
+        )
+        centres, id1, id2 = (np.ascontiguousarray(column, dtype=np.int64) for column in (centres, id1, id2))
+        spells, stands = _spells(still), _spells(commanded)
+        columns = (_address(centres), _address(id1), _address(id2), n, _address(spells), len(spells), _address(stands), len(stands))
+        _check(self._library.build_graph(*columns, int(moving_time), ctypes.byref(graph)))
+        v, n_links, n_edges = graph.n_vertices, graph.n_links, graph.n_edges
+        return Contraction(
+            links=Links(sources=link_from[:n_links], targets=link_to[:n_links], times=link_time[:n_links]),
+            rows=Rows(starts=starts[: v + 1], neighbours=neighbours[:n_edges], times=times[:n_edges]),
+            first_encounter=first[:v],
+            multiplicity=multiplicity[:v],
+            is_landmark=is_landmark[:v],
+            component=component[:v],
+        )
+
+    def sweep_times(self, links: Links, *, n_vertices: int, sources: IntArray) -> FloatArray:
+        """See `Kernels.sweep_times`."""
+        table = np.empty((n_vertices, len(sources)))
+        chosen = np.ascontiguousarray(sources, dtype=np.int32)
+        _check(self._library.sweep_times(*_links(links), n_vertices, len(chosen), _address(chosen), _address(table)))
+        return table
+
+    def sum_neighbour_times(self, rows: Rows, multiplicity: VertexArray, *, k: int) -> FloatArray:
+        """See `Kernels.sum_neighbour_times`."""
+        n = len(multiplicity)
+        sums = np.empty(n)
+
+        def run(begin: int, end: int) -> int:
+            return int(self._library.sum_neighbours(*_rows(rows), _address(multiplicity), n, begin, end, k, _address(sums)))
+
+        _share(run, n)
+        return sums
+
+    def pick_along_graph(self, rows: Rows, links: Links, candidates: BoolArray, *, hubs: IntArray, n_points: int) -> Picks:
+        """See `Kernels.pick_along_graph`."""
+        v = len(candidates)
+        from_hubs = self.sweep_times(links, n_vertices=v, sources=hubs)
+        chosen, distances, radius = np.empty(n_points, dtype=np.int32), np.zeros((n_points, n_points)), ctypes.c_double()
+        hub_vertices = np.ascontiguousarray(hubs, dtype=np.int32)
+        arrays = (_address(hub_vertices), _address(from_hubs), _address(candidates))
+        is_pruned = len(hubs) == 0
+        outputs = (_address(chosen), _address(distances), ctypes.byref(radius))
+        m = _check(self._library.pick_maxmin(*_rows(rows), v, len(hubs), *arrays, n_points, int(is_pruned), *outputs))
+        picked = chosen[:m].astype(np.int64)
+        if is_pruned:
+            batches = [self.sweep_times(links, n_vertices=v, sources=some)[picked] for some in np.split(picked, range(_LANES, m, _LANES))]
+            return Picks(chosen=picked, distances=np.hstack(batches), cover_radius=radius.value)
+        return Picks(chosen=picked, distances=distances[:m, :m].copy(), cover_radius=radius.value)
+
+    def bracket(self, times: FloatArray, references: IntArray) -> tuple[FloatArray, FloatArray]:
+        """See `Kernels.bracket`."""
+        between = np.ascontiguousarray(times[references])
+        n, n_places = times.shape
+        middle, doubt = np.ascontiguousarray(times), np.empty(n)
+
+        def run(begin: int, end: int) -> int:
+            rows = (_address(middle[begin:end]), end - begin, n_places, _address(between), _address(doubt[begin:end]))
+            return int(self._library.bracket(*rows))
+
+        _share(run, n)
+        return middle, doubt
+
+    def pick_profiles(self, profiles: FloatArray, *, norm: ProfileNorm, n_points: int) -> Picks:
+        """See `Kernels.pick_profiles`."""
+        rows = np.ascontiguousarray(profiles)
+        chosen, distances, radius = np.empty(n_points, dtype=np.int64), np.zeros((n_points, n_points)), ctypes.c_double()
+        outputs = (_address(chosen), _address(distances), ctypes.byref(radius))
+        m = _check(self._library.pick_profiles(_address(rows), *rows.shape, _NORM_NUMBERS[norm], n_points, *outputs))
+        return Picks(chosen=chosen[:m], distances=distances[:m, :m].copy(), cover_radius=radius.value)
+
+
+def _address(array: NDArray[np.generic]) -> int:
+    return int(array.ctypes.data)
+
+
+def _rows(rows: Rows) -> tuple[int, int, int]:
+    return _address(rows.starts), _address(rows.neighbours), _address(rows.times)
+
+
+def _links(links: Links) -> tuple[int, int, int, int]:
+    return len(links.times), _address(links.sources), _address(links.targets), _address(links.times)
+
+
+def _spells(stands: Stands) -> NDArray[np.void]:
+    spells = np.empty(len(stands.nodes), dtype=SPELL)
+    spells["node"], spells["begin"], spells["end"] = stands.nodes, stands.begins, stands.ends
+    return spells
+
+
+def _check(outcome: int) -> int:
+    if outcome < 0:
+        raise MemoryError("no room for the working memory of a kernel; give the mapper fewer encounters (a window) or more memory")
+    return outcome
+
+
+def _share(run: Callable[[int, int], int], n: int) -> None:
+    """Run over all rows, in as many threads as there are processors and rows to make it worth while."""
+    n_threads = max(1, min(len(os.sched_getaffinity(0)), n // _ROWS_OF_A_THREAD))
+    if n_threads == 1:
+        _check(run(0, n))
+        return
+    bounds = [n * part // n_threads for part in range(n_threads + 1)]
+    with ThreadPoolExecutor(n_threads) as pool:
+        for outcome in pool.map(run, bounds[:-1], bounds[1:]):
+            _check(outcome)

@@ -1,0 +1,226 @@
+"""The kernels in numpy and scipy alone: for machines without the compiled ones, and for the tests to compare those with."""
+
+import heapq
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
+from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNorm
+
+_ROWS_AT_ONCE: Final = 4096
+
+
+class PlainKernels:
+    """See `mapper.kernels.Kernels`."""
+
+    name: Final = KernelsKind.PLAIN
+
+    def contract(
+        self, centres: IntArray, id1: IntArray, id2: IntArray, *, still: Stands, commanded: Stands, moving_time: bool
+    ) -> Contraction:
+        """See `Kernels.contract`."""
+        n = len(centres)
+        biobots, biobot_of = np.unique(np.concatenate([id1, id2]), return_inverse=True)
+        position = np.empty(n, dtype=np.int64)
+        position[np.argsort(centres, kind="stable")] = np.arange(n)
+        encounter_of = np.tile(np.arange(n), 2)
+        order = np.lexsort((position[encounter_of], biobot_of))
+        biobot_of, encounter_of = biobot_of[order], encounter_of[order]
+        clock = centres[encounter_of]
+        place = np.full(2 * n, -1, dtype=np.int64)
+        bounds = np.searchsorted(biobot_of, np.arange(len(biobots) + 1)).tolist()
+        for biobot, rows in zip(biobots.tolist(), (slice(a, b) for a, b in pairwise(bounds)), strict=True):
+            at = clock[rows].copy()
+            place[rows] = _find_places(commanded, biobot, at)
+            if moving_time:
+                clock[rows] = at - _time_inside(still, biobot, at)
+        is_chained, step = biobot_of[1:] == biobot_of[:-1], np.diff(clock)
+        is_zero = is_chained & ((step == 0) | ((place[1:] >= 0) & (place[1:] == place[:-1])))
+        vertex_of, first = _merge(encounter_of[:-1][is_zero], encounter_of[1:][is_zero], n=n)
+        is_edge = is_chained & ~is_zero
+        source, target, times = vertex_of[encounter_of[:-1][is_edge]], vertex_of[encounter_of[1:][is_edge]], step[is_edge].astype(float)
+        in_order = np.argsort(position[encounter_of[1:][is_edge]], kind="stable")
+        in_order = in_order[(source != target)[in_order]]
+        links = Links(
+            sources=source[in_order].astype(np.int32), targets=target[in_order].astype(np.int32), times=np.asarray(times[in_order])
+        )
+        is_landmark = np.zeros(len(first), dtype=np.bool_)
+        is_landmark[vertex_of[encounter_of[place >= 0]]] = True
+        component, _ = _merge(links.sources, links.targets, n=len(first))
+        return Contraction(
+            links=links,
+            rows=_make_rows(links, n_vertices=len(first)),
+            first_encounter=first.astype(np.int32),
+            multiplicity=np.bincount(vertex_of, minlength=len(first)).astype(np.int32),
+            is_landmark=is_landmark,
+            component=component.astype(np.int32),
+        )
+
+    def sweep_times(self, links: Links, *, n_vertices: int, sources: IntArray) -> FloatArray:
+        """See `Kernels.sweep_times`."""
+        return _search(_make_rows(links, n_vertices=n_vertices), sources).T
+
+    def sum_neighbour_times(self, rows: Rows, multiplicity: VertexArray, *, k: int) -> FloatArray:
+        """See `Kernels.sum_neighbour_times`.
+
+        Each settled vertex keeps only its next edge in the heap, so a landmark with thousands of edges costs no more than another vertex.
+        """
+        starts, target, weight, counts = rows.starts.tolist(), rows.neighbours.tolist(), rows.times.tolist(), multiplicity.tolist()
+        sums = np.zeros(len(counts))
+        for source, own in enumerate(counts):
+            wanted = k - (own - 1)
+            total = 0.0
+            settled = {source}
+            edge = starts[source]
+            heap = [(weight[edge], edge, 0.0, starts[source + 1])] if wanted > 0 and edge < starts[source + 1] else []
+            while heap and wanted > 0:
+                reached, edge, base, stop = heap[0]
+                if edge + 1 < stop:
+                    heapq.heapreplace(heap, (base + weight[edge + 1], edge + 1, base, stop))
+                else:
+                    heapq.heappop(heap)
+                vertex = target[edge]
+                if vertex in settled:
+                    continue
+                settled.add(vertex)
+                total += reached * min(wanted, counts[vertex])
+                wanted -= counts[vertex]
+                if starts[vertex] < starts[vertex + 1]:
+                    heapq.heappush(heap, (reached + weight[starts[vertex]], starts[vertex], reached, starts[vertex + 1]))
+            sums[source] = total
+        return sums
+
+    def pick_along_graph(
+        self,
+        rows: Rows,
+        links: Links,  # noqa: ARG002  # rows say as much
+        candidates: BoolArray,
+        *,
+        hubs: IntArray,  # noqa: ARG002  # every search is over the whole graph here
+        n_points: int,
+    ) -> Picks:
+        """See `Kernels.pick_along_graph`."""
+        eligible = np.flatnonzero(candidates)
+        picked: list[int] = []
+        distances = np.zeros((n_points, n_points))
+        nearest = np.full(len(eligible), np.inf)
+        choice = 0
+        while len(picked) < n_points and nearest[choice] > 0:
+            row = _search(rows, eligible[choice : choice + 1])[0]
+            distances[len(picked), : len(picked)] = distances[: len(picked), len(picked)] = row[picked]
+            picked.append(int(eligible[choice]))
+            np.minimum(nearest, row[eligible], out=nearest)
+            choice = int(nearest.argmax())
+        m = len(picked)
+        return Picks(chosen=np.array(picked, dtype=np.int64), distances=distances[:m, :m].copy(), cover_radius=float(nearest.max()))
+
+    def bracket(self, times: FloatArray, references: IntArray) -> tuple[FloatArray, FloatArray]:
+        """See `Kernels.bracket`."""
+        half_gap = np.zeros_like(times)
+        between = times[references]
+        n_references = times.shape[1]
+        others = ~np.eye(n_references, dtype=bool)
+        if n_references > 1:
+            for begin in range(0, len(times), _ROWS_AT_ONCE):
+                rows = slice(begin, begin + _ROWS_AT_ONCE)
+                for k in range(n_references):
+                    detour = times[rows][:, others[k]] - between[k, others[k]]
+                    half_gap[rows, k] = (times[rows, k] + detour.min(axis=1)) / 2
+        return times - half_gap, np.asarray(np.median(half_gap, axis=1))
+
+    def pick_profiles(self, profiles: FloatArray, *, norm: ProfileNorm, n_points: int) -> Picks:
+        """See `Kernels.pick_profiles`.
+
+        Place by place: one column stays in the cache, the whole table would not.
+        """
+        columns = np.ascontiguousarray(profiles.T)
+        picked: list[int] = []
+        distances = np.zeros((n_points, n_points))
+        nearest = np.full(len(profiles), np.inf)
+        choice = 0
+        while len(picked) < n_points and nearest[choice] > 0:
+            row = compare_profiles(columns, choice, norm=norm)
+            distances[len(picked), : len(picked)] = distances[: len(picked), len(picked)] = row[picked]
+            picked.append(choice)
+            np.minimum(nearest, row, out=nearest)
+            choice = int(nearest.argmax())
+        m = len(picked)
+        return Picks(chosen=np.array(picked, dtype=np.int64), distances=distances[:m, :m].copy(), cover_radius=float(nearest.max()))
+
+
+def compare_profiles(columns: FloatArray, row: int, *, norm: ProfileNorm) -> FloatArray:
+    """Measure from one profile to all: shape (v,); ``columns`` has shape (l, v)."""
+    total = np.zeros(columns.shape[1])
+    difference = np.empty(columns.shape[1])
+    for column in columns:
+        np.subtract(column, column[row], out=difference)
+        match norm:
+            case ProfileNorm.MAX:
+                np.maximum(total, np.abs(difference, out=difference), out=total)
+            case ProfileNorm.RMS:
+                total += np.square(difference, out=difference)
+    return total if norm is ProfileNorm.MAX else np.sqrt(total / len(columns))
+
+
+def _find_places(commanded: Stands, biobot: int, at: IntArray) -> IntArray:
+    """Say in which of all commanded spells each instant of a biobot lies, -1 for none."""
+    first, last = np.searchsorted(commanded.nodes, [biobot, biobot + 1]).tolist()
+    if first == last:
+        return np.full(len(at), -1, dtype=np.int64)
+    spell = first + np.searchsorted(commanded.begins[first:last], at, side="right") - 1
+    is_inside = (spell >= first) & (at <= commanded.ends[np.maximum(spell, first)])
+    return np.where(is_inside, spell, -1)
+
+
+def _time_inside(still: Stands, biobot: int, at: IntArray) -> IntArray:
+    """Measure how much of the time up to each instant a biobot stood still."""
+    first, last = np.searchsorted(still.nodes, [biobot, biobot + 1]).tolist()
+    if first == last:
+        return np.zeros(len(at), dtype=np.int64)
+    begin, end = still.begins[first:last], still.ends[first:last]
+    before = np.concatenate([[0], np.cumsum(end - begin)])
+    started = np.searchsorted(begin, at, side="right")
+    latest = np.maximum(started - 1, 0)
+    running = np.minimum(at, end[latest]) - begin[latest]
+    return np.where(started > 0, before[latest] + running, 0)
+
+
+def _merge(one: NDArray[np.integer], other: NDArray[np.integer], *, n: int) -> tuple[IntArray, IntArray]:
+    """Merge what is joined: the set of each of n, numbered by their first members, and those members."""
+    from scipy.sparse import coo_array  # noqa: PLC0415  # half a second that the compiled kernels do without
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415  # same
+
+    same = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(n, n))
+    _, label = connected_components(same, directed=False)
+    _, first, set_of = np.unique(label, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[set_of], np.sort(first).astype(np.int64)
+
+
+def _make_rows(links: Links, *, n_vertices: int) -> Rows:
+    """Store the shortest of parallel links both ways."""
+    low, high = np.minimum(links.sources, links.targets), np.maximum(links.sources, links.targets)
+    order = np.lexsort((links.times, high, low))
+    low, high, times = low[order], high[order], links.times[order]
+    is_first = np.ones(len(low), dtype=bool)
+    is_first[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
+    vertex = np.concatenate([low[is_first], high[is_first]])
+    neighbour = np.concatenate([high[is_first], low[is_first]])
+    time = np.tile(times[is_first], 2)
+    order = np.lexsort((neighbour, time, vertex))
+    starts = np.concatenate([[0], np.cumsum(np.bincount(vertex, minlength=n_vertices))]).astype(np.int64)
+    return Rows(starts=starts, neighbours=neighbour[order].astype(np.int32), times=np.asarray(time[order]))
+
+
+def _search(rows: Rows, sources: IntArray) -> FloatArray:
+    """Run Dijkstra from each source: shape (sources, v)."""
+    from scipy.sparse import csr_array  # noqa: PLC0415  # half a second that the compiled kernels do without
+    from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415  # same
+
+    n = len(rows.starts) - 1
+    weights = csr_array((rows.times, rows.neighbours, rows.starts), shape=(n, n))
+    return np.asarray(dijkstra(weights, directed=True, indices=np.asarray(sources, dtype=np.int64)))
