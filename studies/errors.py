@@ -77,3 +77,71 @@ class CampaignFileError(StudyError):
 
     def __init__(self, *, path: Path, problem: str) -> None:
         super().__init__(f"{path}: {problem}; give another --state FILE, or remove this one")
+
+
+class JournalError(StudyError):
+    """The journal of a study cannot be used: give another one, or move this one away."""
+
+    def __init__(self, *, path: Path, problem: str) -> None:
+        self.path = path
+        super().__init__(f"{path}: {problem}; give another journal, or move this one away")
+
+
+class JournalBusyError(StudyError):
+    """Another process writes this journal: wait for it, or give another journal."""
+
+    def __init__(self, *, path: Path) -> None:
+        self.path = path
+        super().__init__(f"{path}: another process has this journal open; wait for it, or give another journal")
+
+
+class ChangedProgramError(StudyError):
+    """The journal holds results of another program: say whether they still hold."""
+
+    def __init__(self, *, path: Path | None, n_old: int, n_cases: int, was: str, now: str) -> None:
+        self.n_old = n_old
+        super().__init__(
+            f"{path}: {n_old} of the {n_cases} cases were computed by another program ({was}, now {now}): the code has changed since; "
+            "give --changed recompute to compute them anew, or --changed keep if the change cannot have mattered"
+        )
+
+
+class ForeignProgramError(StudyError):
+    """A worker of the cluster runs another program: install this one there."""
+
+    def __init__(self, *, own: str, wanted: str) -> None:
+        super().__init__(f"a worker runs another program ({own}, wanted {wanted}); install this version of biobot on the whole cluster")
+
+
+class ResultError(StudyError):
+    """A result cannot be written to a journal, or was not written by this study."""
+
+    def __init__(self, *, study: str, problem: str) -> None:
+        super().__init__(f"result of the study {study!r}: {problem}")
+
+
+class CaseFailedError(StudyError):
+    """Cases failed of which all are needed: look at the first, mend it, and retry."""
+
+    def __init__(self, *, n_failed: int, n_cases: int, case: str, kind: str, message: str) -> None:
+        self.n_failed = n_failed
+        super().__init__(
+            f"{n_failed} of {n_cases} cases failed; the first was {case}: {kind}: {message}; give --retry-failed when it is mended"
+        )
+
+
+class DaskError(StudyError):
+    """The cluster asked for is not there."""
+
+    def __init__(self, *, address: str, problem: str) -> None:
+        self.address = address
+        super().__init__(f"--dask {address}: {problem}")
+
+
+class WorkerLostError(StudyError):
+    """A process that computed was killed: give it more memory, or run fewer at once, and go on."""
+
+    def __init__(self, *, problem: str) -> None:
+        super().__init__(
+            f"a computing process was lost ({problem}); what is done is kept: run fewer at once with --jobs, and run this again"
+        )
