@@ -15,9 +15,12 @@ import numpy as np
 
 from mapper.feasibility import chance_connected, encounter_rate, path_inflation
 from mapper.resolution import Law, chance_found, chance_of_false_hole, count_deviation, even_side, quantities, side_found
+from studies.cases import Options, results_of, run_cases
+from studies.cases.flags import add_flags, read_flags
+from studies.errors import StudyError
 from studies.feasibility_fit import Vector, as_plan, fit_law, loss, minimise, with_obstacle, without_obstacle
-from studies.feasibility_runs import Outcome, ScaledPlan, draw_plan, run_plans
-from studies.hole_count import HELD_OUT_SEED
+from studies.feasibility_runs import PLANS, Outcome, PlanCase, ScaledPlan, draw_plan
+from studies.trials import HELD_OUT_SEED
 
 _COMMAND = "python -m studies.feasibility_check"
 _NAMED_SEED = 20_000
@@ -39,25 +42,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Fit, check and print; progress goes to standard error."""
     parser = argparse.ArgumentParser(prog=_COMMAND, description=__doc__)
     parser.add_argument("--out", type=Path, help="write the constants here")
-    parser.add_argument("--cache", type=Path, default=Path("artifacts/feasibility"), help="finished runs (default: %(default)s)")
+    parser.add_argument("--cache", type=Path, default=Path("artifacts/feasibility"), help="folder of finished runs (default: %(default)s)")
     parser.add_argument("--fit-runs", type=int, default=2500, help="runs to fit to, seeds from 0 (default: %(default)s)")
     parser.add_argument("--check-runs", type=int, default=1000, help=f"runs to check on, seeds from {HELD_OUT_SEED} (default: %(default)s)")
     parser.add_argument("--named-runs", type=int, default=40, help="runs of each named plan and obstacle (default: %(default)s)")
+    add_flags(parser)
     options = parser.parse_args(arguments)
     for name, least in (("fit_runs", 100), ("check_runs", 100), ("named_runs", 0)):
         if getattr(options, name) < least:
             parser.error(f"--{name.replace('_', '-')} is {getattr(options, name)}; wanted at least {least}")
-    fitted = _run([(draw_plan(seed), seed) for seed in range(options.fit_runs)], label="to fit to", folder=options.cache)
+    try:
+        _fit_and_check(options, read_flags(options, journal=options.cache / "runs.jsonl"))
+    except StudyError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _fit_and_check(asked: argparse.Namespace, options: Options) -> None:
+    fitted = _run([(draw_plan(seed), seed) for seed in range(asked.fit_runs)], options, label="to fit to")
     law = fit_law(fitted, command=_COMMAND)
     document = json.dumps(asdict(law), indent=2) + "\n"
     print(document)
-    if options.out is not None:
-        options.out.write_text(document, encoding="utf-8")
-    seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + options.check_runs)
-    print("\n".join(check(law, fitted, _run([(draw_plan(seed), seed) for seed in seeds], label="to check on", folder=options.cache))))
-    if options.named_runs:
-        print("\n".join(_compare_named(law, runs=options.named_runs, folder=options.cache)))
-    return 0
+    if asked.out is not None:
+        asked.out.write_text(document, encoding="utf-8")
+    seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + asked.check_runs)
+    print("\n".join(check(law, fitted, _run([(draw_plan(seed), seed) for seed in seeds], options, label="to check on"))))
+    if asked.named_runs:
+        print("\n".join(_compare_named(law, options, runs=asked.named_runs)))
 
 
 def check(law: Law, fitted: Sequence[Outcome], held_out: Sequence[Outcome]) -> list[str]:
@@ -79,15 +91,9 @@ def check(law: Law, fitted: Sequence[Outcome], held_out: Sequence[Outcome]) -> l
     ]
 
 
-def _run(plans: list[tuple[ScaledPlan, int]], *, label: str, folder: Path | None) -> list[Outcome]:
-    outcomes = []
-    for number, outcome in enumerate(run_plans(plans, folder=folder), start=1):
-        outcomes.append(outcome)
-        if sys.stderr.isatty():
-            sys.stderr.write(f"\r{number}/{len(plans)} {label}")
-            sys.stderr.flush()
-    sys.stderr.write(f"\r{len(outcomes)} runs {label}\n")
-    return outcomes
+def _run(plans: Sequence[tuple[ScaledPlan, int]], options: Options, *, label: str) -> list[Outcome]:
+    cases = [PlanCase(scaled=scaled, seed=seed) for scaled, seed in plans]
+    return results_of(run_cases(PLANS, cases, options, label=label))
 
 
 def _check_counts(law: Law, outcomes: Sequence[Outcome]) -> list[str]:
@@ -146,7 +152,7 @@ def _check_stretch(outcomes: Sequence[Outcome]) -> list[str]:
     return lines
 
 
-def _compare_named(law: Law, *, runs: int, folder: Path | None) -> list[str]:
+def _compare_named(law: Law, options: Options, *, runs: int) -> list[str]:
     lines = [
         "",
         "| plan | encounters | even chance: run, law | 80 %: run, law | hole in an empty arena: run, law |",
@@ -154,7 +160,7 @@ def _compare_named(law: Law, *, runs: int, folder: Path | None) -> list[str]:
     ]
     for name, scaled in NAMED.items():
         seeds = range(_NAMED_SEED, _NAMED_SEED + runs // _FEWER_RUNS.get(name, 1))
-        outcomes = _run([(replace(scaled, obstacle=side), seed) for side in _SIDES for seed in seeds], label=name, folder=folder)
+        outcomes = _run([(replace(scaled, obstacle=side), seed) for side in _SIDES for seed in seeds], options, label=name)
         seen, empty, plan = with_obstacle(outcomes), without_obstacle(outcomes), as_plan(scaled)
         even, usual = _measure_sides(seen)
         false = _mean([one.n_false > 0 for one in empty])

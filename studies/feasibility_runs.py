@@ -1,43 +1,34 @@
 """Runs to fit and to check what ``biobot-mapper feasibility`` foretells: one square obstacle or none, in a square arena.
 
 A run is made from a scaled plan: how many biobots and landmarks, and the four lengths that matter as shares of the arena's side. Plans
-are drawn at random over wide ranges, so that a law fitted to them is not one of a few presets. Finished runs are kept on disk.
+are drawn at random over wide ranges, so that a law fitted to them is not one of a few presets.
 """
 
-import hashlib
-import json
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from math import exp, log
-from pathlib import Path
 
 import numpy as np
 from shapely.geometry import box
 
-from firmware_protocol.contract.records import Cause, Mode
-from firmware_protocol.landmarks import select_landmarks
-from firmware_protocol.units import NS_PER_S, NodeId
+from firmware_protocol.units import NS_PER_S
 from mapper.config import RecipeConfig, make_recipe
 from mapper.pipeline import MIN_ENCOUNTERS, compute_map
-from mapper.types import EncounterTable, FloatArray, MapResult, ModeSpell, Recipe
-from mapper.window import make_encounter_table
+from mapper.types import FloatArray, MapResult, Recipe
 from simulator.arenas.arena import build_arena
 from simulator.config import Ranges
-from simulator.events import EncounterEnded
 from simulator.motion import MotionParameters
 from simulator.world import World
 from studies.arenas import place_squares
+from studies.cases import PackageFile, Study
+from studies.exploration import explore
 from studies.scores import winding_number
 
 # Lengths are those of an arena of side 50 and the speed is 1 per second, as in `studies.trials`.
 SIDE = 50.0
-_DISPERSION_S = 10.0
 _COMMUNICATION_PER_DETECTION = 8.0  # as in the presets
 # Between the obstacle and every wall, as a share of the side.
 PASSAGE = 0.1
-# Raise it when simulator or mapper change what a run would give; older results are then not used.
-_CACHE_VERSION = 1
 _EMPTY_SHARE = 0.2
 _FAR = 0.25  # pairs further apart than this share of the side tell the map's scale
 
@@ -121,15 +112,17 @@ def draw_plan(seed: int) -> ScaledPlan:
             )
 
 
-def run_plans(plans: Iterable[tuple[ScaledPlan, int]], *, folder: Path | None) -> Iterator[Outcome]:
-    """Simulate and map one run for each plan and seed; take from the folder what is there, and add to it what is not."""
-    for scaled, seed in plans:
-        path = None if folder is None else folder / f"{_fingerprint(scaled)}-{seed}.json"
-        outcome = _load(path)
-        if outcome is None:
-            outcome = run_plan(scaled, seed)
-            _store(outcome, path)
-        yield outcome
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanCase:
+    """A run to be made of a plan."""
+
+    scaled: ScaledPlan
+    seed: int
+
+
+def compute_plan(case: PlanCase) -> Outcome:
+    """Simulate one run and map it by the default method."""
+    return run_plan(case.scaled, case.seed)
 
 
 def run_plan(scaled: ScaledPlan, seed: int) -> Outcome:
@@ -145,12 +138,13 @@ def run_plan(scaled: ScaledPlan, seed: int) -> Outcome:
         ids=range(1, scaled.biobots + 1),
         seed=seed,
     )
-    table, spells, n_together = _walk(world, landmarks=scaled.landmarks, duration_s=scaled.path * SIDE)
+    explored = explore(world, landmarks=scaled.landmarks, duration_s=scaled.path * SIDE)
+    table = explored.table
     outcome = Outcome(
         scaled=scaled,
         seed=seed,
         n_encounters=len(table),
-        n_together=n_together,
+        n_together=explored.n_together,
         is_connected=False,
         is_found=False,
         n_false=0,
@@ -158,7 +152,7 @@ def run_plan(scaled: ScaledPlan, seed: int) -> Outcome:
     )
     if len(table) < MIN_ENCOUNTERS:
         return outcome
-    result = compute_map(table, spells, _recipe())
+    result = compute_map(table, explored.spells, _recipe())
     n_met = np.unique(np.concatenate([table.id1, table.id2])).size
     places = _places(world, result)
     centre = np.array(polygon.interiors[0].centroid.coords[0]) if polygon.interiors else None
@@ -170,23 +164,6 @@ def run_plan(scaled: ScaledPlan, seed: int) -> Outcome:
         n_false=len(enclosing) - any(enclosing),
         stretch=_stretch(result, places) if centre is None else None,
     )
-
-
-def _walk(world: World, *, landmarks: int, duration_s: float) -> tuple[EncounterTable, tuple[ModeSpell, ...], int]:
-    events = world.advance(_DISPERSION_S)
-    chosen = select_landmarks(world.adjacency(), count=landmarks)
-    for landmark in chosen:
-        world.stop(landmark)
-    end_s = _DISPERSION_S + duration_s
-    events += world.advance(end_s)
-    spans = [(event.t_start_s, event.t_end_s, event.id1, event.id2) for event in events if isinstance(event, EncounterEnded)]
-    spans += [(began.t_s, end_s, began.id1, began.id2) for began in world.open_encounters()]
-    rows = [(max(begin, _DISPERSION_S), end, first, second) for begin, end, first, second in spans if end > _DISPERSION_S]
-    begin, end = (np.rint(np.array([row[k] for row in rows]) * NS_PER_S).astype(np.int64) for k in (0, 1))
-    table = make_encounter_table(t_start_ns=begin, t_end_ns=end, id1=[row[2] for row in rows], id2=[row[3] for row in rows])
-    zero_ns = round(_DISPERSION_S * NS_PER_S)
-    spells = tuple(ModeSpell(node=NodeId(one), t_start_ns=zero_ns, t_end_ns=None, mode=Mode.S, cause=Cause.COMMAND) for one in chosen)
-    return table, spells, sum(row[0] == _DISPERSION_S for row in rows)
 
 
 def _places(world: World, result: MapResult) -> FloatArray:
@@ -213,23 +190,6 @@ def _draw_log(rng: np.random.Generator, span: tuple[float, float]) -> float:
     return exp(rng.uniform(log(span[0]), log(span[1])))
 
 
-def _fingerprint(scaled: ScaledPlan) -> str:
-    recipe = {key: value for key, value in asdict(_recipe()).items() if key not in {"epsilon_share", "speed_mps"}}
-    content = json.dumps([_CACHE_VERSION, asdict(scaled), recipe], sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()[:16]
-
-
-def _load(path: Path | None) -> Outcome | None:
-    if path is None or not path.exists():
-        return None
-    content = json.loads(path.read_text())
-    return Outcome(**content | {"scaled": ScaledPlan(**content["scaled"])})
-
-
-def _store(outcome: Outcome, path: Path | None) -> None:
-    if path is None:
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".part")
-    unfinished.write_text(json.dumps(asdict(outcome)))
-    unfinished.replace(path)
+PLANS = Study(
+    name="feasibility", compute=compute_plan, result_type=Outcome, files=(PackageFile(package="mapper", path="data/classifier.json"),)
+)

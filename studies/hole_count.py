@@ -9,10 +9,11 @@ import numpy as np
 
 from mapper.config import RecipeConfig, make_recipe
 from mapper.types import Method, MetricKind, Recipe
-from studies.trials import SETTINGS, Trial, run_trials, show_progress
+from studies.cases import Options, results_of, run_cases
+from studies.cases.flags import add_flags, read_flags
+from studies.errors import StudyError
+from studies.trials import HELD_OUT_SEED, SETTINGS, TRIALS, Trial, TrialCase
 
-# Training takes seeds from 0 on.
-HELD_OUT_SEED = 10_000
 _DEFAULT_RUNS = {
     "squares/paper-units": 400,
     "squares/paper-50cm": 200,
@@ -61,11 +62,16 @@ def tally(trials: Sequence[Trial], *, setting: str) -> Tally:
     )
 
 
-def judge(setting: str, recipe: Recipe, *, runs: int, first_seed: int = HELD_OUT_SEED) -> Tally:
-    """Simulate, map and count held-out runs of one setting; nothing is taken from a cache, because the rules may have changed since."""
-    seeds = range(first_seed, first_seed + runs)
-    trials = show_progress(run_trials(SETTINGS[setting], seeds, recipe, cache=None), total=runs, label=setting)
-    return tally(list(trials), setting=setting)
+def judge(setting: str, recipe: Recipe, options: Options, *, runs: int, first_seed: int = HELD_OUT_SEED) -> Tally:
+    """Simulate, map and count held-out runs of one setting.
+
+    Raises
+    ------
+    StudyError
+        A run failed, or the runs cannot be computed as asked.
+    """
+    cases = [TrialCase(setting=SETTINGS[setting], seed=seed, recipe=recipe) for seed in range(first_seed, first_seed + runs)]
+    return tally(results_of(run_cases(TRIALS, cases, options, label=setting)), setting=setting)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -76,6 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--setting", choices=list(SETTINGS), action="append", help="may be repeated (default: all)")
     parser.add_argument("--runs", type=int, help="runs of each setting (default: 60 to 400)")
     parser.add_argument("--seed", type=int, default=HELD_OUT_SEED, help="first seed; training takes those from 0 on (default: %(default)s)")
+    add_flags(parser)
     options = parser.parse_args(arguments)
     if options.runs is not None and options.runs < 1:
         parser.error(f"--runs is {options.runs}; wanted at least 1")
@@ -83,7 +90,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"method {recipe.method}, metric {recipe.metric}, seeds from {options.seed}")
     print("setting                    holes right          encounters   right by true number of holes")
     for setting in options.setting or list(SETTINGS):
-        result = judge(setting, recipe, runs=options.runs or _DEFAULT_RUNS[setting], first_seed=options.seed)
+        runs = options.runs or _DEFAULT_RUNS[setting]
+        try:
+            # Nothing is kept: the rules may have changed since.
+            result = judge(setting, recipe, read_flags(options, journal=None), runs=runs, first_seed=options.seed)
+        except StudyError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
         print(result.line())
         if result.components_wrong:
             print(f"{'':26} {result.components_wrong} of them with a number of components other than one")

@@ -15,7 +15,10 @@ import numpy as np
 from mapper.betti import judge_intervals
 from mapper.config import RecipeConfig, make_recipe
 from mapper.types import BettiRule, BettiRuleKind, FloatArray, Method, MetricKind
-from studies.trials import SETTINGS, Setting, Trial, run_trials, show_progress
+from studies.cases import Options, results_of, run_cases
+from studies.cases.flags import add_flags, read_flags
+from studies.errors import StudyError
+from studies.trials import SETTINGS, TRIALS, Trial, TrialCase
 
 # Higher quantiles reach into the real intervals where holes are many and noise is scarce.
 QUANTILES = (0.5, 0.6, 0.7)
@@ -103,17 +106,24 @@ def _rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def collect(method: Method, metric: MetricKind, *, runs: dict[str, int], cache: Path | None) -> TrialsBySetting:
-    """Simulate and map the training runs with one recipe."""
-    recipe = make_recipe(RecipeConfig(method=method, metric=metric))
-    return {
-        name: list(show_progress(run_trials(setting, range(n), recipe, cache=cache), total=n, label=f"{method}/{metric} on {name}"))
-        for name, n, setting in _settings_of(runs)
-    }
+def collect(options: Options, *, runs: dict[str, int]) -> dict[tuple[Method, MetricKind], TrialsBySetting]:
+    """Simulate and map the training runs with every recipe.
 
-
-def _settings_of(runs: dict[str, int]) -> list[tuple[str, int, Setting]]:
-    return [(name, n, SETTINGS[name]) for name, n in runs.items()]
+    Raises
+    ------
+    StudyError
+        A run failed, or the runs cannot be computed as asked.
+    """
+    places = [(method, metric, name, seed) for method in Method for metric in MetricKind for name, n in runs.items() for seed in range(n)]
+    cases = [
+        TrialCase(setting=SETTINGS[name], seed=seed, recipe=make_recipe(RecipeConfig(method=method, metric=metric)))
+        for method, metric, name, seed in places
+    ]
+    collected: dict[tuple[Method, MetricKind], TrialsBySetting] = {}
+    trials = results_of(run_cases(TRIALS, cases, options, label="training runs"))
+    for (method, metric, name, _), trial in zip(places, trials, strict=True):
+        collected.setdefault((method, metric), {}).setdefault(name, []).append(trial)
+    return collected
 
 
 def describe(training: Training, *, runs: dict[str, int], command: str) -> dict[str, object]:
@@ -130,18 +140,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Train all recipes and write or print the parameters; progress goes to standard error."""
     parser = argparse.ArgumentParser(prog="python -m studies.train_classifier", description=__doc__)
     parser.add_argument("--out", type=Path, help="write the parameters here (default: print them)")
-    parser.add_argument("--cache", type=Path, default=Path("artifacts/trials"), help="finished runs (default: %(default)s)")
+    parser.add_argument("--cache", type=Path, default=Path("artifacts/trials"), help="folder of finished runs (default: %(default)s)")
     parser.add_argument("--quick", action="store_true", help=f"{_QUICK_RUNS} runs of each setting, to see that it works")
     parser.add_argument("--setting", choices=list(TRAINING_RUNS), action="append", help="train on this alone; may be repeated")
+    add_flags(parser)
     options = parser.parse_args(arguments)
     runs = {name: _QUICK_RUNS if options.quick else TRAINING_RUNS[name] for name in options.setting or TRAINING_RUNS}
     flags = ["--quick"] * options.quick + [f"--setting {name}" for name in options.setting or ()]
     command = " ".join(["python -m studies.train_classifier", *flags])
-    entries = {}
-    for method in Method:
-        for metric in MetricKind:
-            training = train(collect(method, metric, runs=runs, cache=options.cache), method=method)
-            entries[f"{method}/{metric}"] = describe(training, runs=runs, command=command)
+    try:
+        collected = collect(read_flags(options, journal=options.cache / "trials.jsonl"), runs=runs)
+    except StudyError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+    entries = {
+        f"{method}/{metric}": describe(train(trials, method=method), runs=runs, command=command)
+        for (method, metric), trials in collected.items()
+    }
     text = json.dumps(entries, indent=2) + "\n"
     if options.out is None:
         sys.stdout.write(text)

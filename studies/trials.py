@@ -1,32 +1,24 @@
-"""Trials: one simulated run in a random arena, mapped, and what came out beside the truth. Finished trials are kept on disk."""
+"""Trials: one simulated run in a random arena, mapped, and what came out beside the truth."""
 
-import hashlib
-import json
-import sys
-from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
-from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.contract.records import Cause, Mode
-from firmware_protocol.landmarks import select_landmarks
-from firmware_protocol.units import NodeId
 from mapper.pipeline import compute_map
 from mapper.types import EncounterTable, FloatArray, ModeSpell, Recipe
-from mapper.window import make_encounter_table
 from simulator.arenas.arena import build_arena
 from simulator.config import Ranges
-from simulator.events import EncounterEnded
 from simulator.motion import MotionParameters
 from simulator.world import World
 from studies.arenas import ArenaFamily, draw_arena
+from studies.cases import Study
+from studies.exploration import explore
 
-_NS_PER_S = 1_000_000_000
-# Raise it when simulator or mapper change what a trial would give; older results are then not used.
-_CACHE_VERSION = 1
-_BAR_WIDTH = 40
+# Training takes seeds from 0 on.
+HELD_OUT_SEED = 10_000
+
+# Of a recipe: the rule that judges a trial afterwards, and the scale at which it is drawn.
+_WITHOUT_EFFECT = {"betti_rules", "epsilon_share", "speed_mps"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,20 +86,28 @@ class Trial:
     loops: FloatArray
 
 
-def run_trials(setting: Setting, seeds: Iterable[int], recipe: Recipe, *, cache: Path | None) -> Iterator[Trial]:
-    """Simulate and map one run for each seed; take from the cache what is there, and add to it what is not.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialCase:
+    """A trial to be made."""
 
-    Notes
-    -----
-    A trial is stored when it is done, so a study that was stopped goes on where it was.
-    """
-    for seed in seeds:
-        path = None if cache is None else cache / f"{_fingerprint(setting, recipe)}-{seed}.json"
-        trial = _load(path)
-        if trial is None:
-            trial = run_trial(setting, seed, recipe)
-            _store(trial, path)
-        yield trial
+    setting: Setting
+    seed: int
+    recipe: Recipe
+
+
+def compute_trial(case: TrialCase) -> Trial:
+    """Simulate and map one run."""
+    return run_trial(case.setting, case.seed, case.recipe)
+
+
+def _key(case: TrialCase) -> object:
+    """Return what the intervals of a trial depend on."""
+    recipe = {name: value for name, value in asdict(case.recipe).items() if name not in _WITHOUT_EFFECT}
+    return {"setting": case.setting, "seed": case.seed, "recipe": recipe}
+
+
+# The trained rules are none of its files: training, which makes them, looks at the intervals alone.
+TRIALS = Study(name="trials", compute=compute_trial, result_type=Trial, key=_key)
 
 
 def run_trial(setting: Setting, seed: int, recipe: Recipe) -> Trial:
@@ -128,7 +128,6 @@ def run_trial(setting: Setting, seed: int, recipe: Recipe) -> Trial:
     )
 
 
-@lru_cache(maxsize=4)  # several recipes are tried on one run
 def simulate(setting: Setting, seed: int) -> tuple[EncounterTable, tuple[ModeSpell, ...], int]:
     """Let biobots walk in a random arena; return their encounters, the landmarks' spells and the true number of holes."""
     arena = build_arena(draw_arena(setting.family, seed=seed))
@@ -139,60 +138,5 @@ def simulate(setting: Setting, seed: int) -> tuple[EncounterTable, tuple[ModeSpe
         ids=range(1, setting.biobots + 1),
         seed=seed,
     )
-    zero_s = 10.0
-    events = world.advance(zero_s)
-    landmarks = select_landmarks(world.adjacency(), count=setting.landmarks)
-    for landmark in landmarks:
-        world.stop(landmark)
-    end_s = zero_s + setting.duration_s
-    events += world.advance(end_s)
-    spans = [(event.t_start_s, event.t_end_s, event.id1, event.id2) for event in events if isinstance(event, EncounterEnded)]
-    spans += [(began.t_s, end_s, began.id1, began.id2) for began in world.open_encounters()]
-    rows = [(max(begin, zero_s), end, first, second) for begin, end, first, second in spans if end > zero_s]
-    begin, end = (np.rint(np.array([row[k] for row in rows]) * _NS_PER_S).astype(np.int64) for k in (0, 1))
-    table = make_encounter_table(t_start_ns=begin, t_end_ns=end, id1=[row[2] for row in rows], id2=[row[3] for row in rows])
-    spells = tuple(
-        ModeSpell(node=NodeId(landmark), t_start_ns=round(zero_s * _NS_PER_S), t_end_ns=None, mode=Mode.S, cause=Cause.COMMAND)
-        for landmark in landmarks
-    )
-    return table, spells, arena.betti.holes
-
-
-def show_progress(trials: Iterable[Trial], *, total: int, label: str) -> Iterator[Trial]:
-    """Pass trials on, with a bar on standard error where that is a terminal, and a line at the end elsewhere."""
-    is_terminal = sys.stderr.isatty()
-    done = 0
-    for trial in trials:
-        yield trial
-        done += 1
-        if is_terminal:
-            filled = _BAR_WIDTH * done // total
-            sys.stderr.write(f"\r[{'#' * filled}{' ' * (_BAR_WIDTH - filled)}] {done}/{total}  {label}")
-            sys.stderr.flush()
-    sys.stderr.write("\n" if is_terminal else f"{label}: {done} runs\n")
-
-
-def _fingerprint(setting: Setting, recipe: Recipe) -> str:
-    """Name what a trial depends on: all but the rule that judges it afterwards and the scale at which it is drawn."""
-    parameters = {key: value for key, value in asdict(recipe).items() if key not in {"betti_rules", "epsilon_share", "speed_mps"}}
-    content = json.dumps([_CACHE_VERSION, asdict(setting), parameters], sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()[:16]
-
-
-def _load(path: Path | None) -> Trial | None:
-    if path is None or not path.exists():
-        return None
-    content = json.loads(path.read_text())
-    merges, loops = (np.array(content.pop(key), dtype=np.float64).reshape(-1, 2) for key in ("merges", "loops"))
-    first, second = content.pop("counted")
-    return Trial(**content, merges=merges, loops=loops, counted=(first, second))
-
-
-def _store(trial: Trial, path: Path | None) -> None:
-    if path is None:
-        return
-    content = asdict(trial) | {"merges": trial.merges.tolist(), "loops": trial.loops.tolist()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".part")
-    unfinished.write_text(json.dumps(content))
-    unfinished.replace(path)
+    explored = explore(world, landmarks=setting.landmarks, duration_s=setting.duration_s)
+    return explored.table, explored.spells, arena.betti.holes

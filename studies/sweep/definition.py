@@ -18,18 +18,12 @@ from simulator.config import MotionConfig, RunConfig
 from simulator.errors import SimulationError
 from simulator.sensed_run import sensing_config
 from simulator.setting import choose_setting
-from studies.trials import SETTINGS
+from studies.sweep.case import Cell, SweepCase, Value, arena_files, recipe_config, run_config
+from studies.trials import HELD_OUT_SEED, SETTINGS
 
 ENVIRONMENT_PREFIX = "BIOBOT_SWEEP"
-# Training takes seeds from 0 on.
-HELD_OUT_SEED = 10_000
 MAX_CASES = 1_000_000
 _MAX_BYTES = 1024 * 1024
-
-Value = Any
-"""What JSON can hold."""
-Cell = Mapping[str, Value]
-"""Dotted keys such as ``run.preset`` and ``recipe.metric``, and their values."""
 
 # Keys of `biobot-sim run` that say where its files go and who looks on; the seed is the sweep's own.
 _NO_PART_OF_A_RUN = {"seed", "out", "force", "snapshot", "snapshot_every_s", "watch", "watch_speed", "position_samples"}
@@ -63,24 +57,6 @@ def _table(name: str, *, as_list: bool) -> type[msgspec.Struct]:
 
 GridTable = _table("GridTable", as_list=True)
 CaseTable = _table("CaseTable", as_list=False)
-
-
-class SweepCase(msgspec.Struct, frozen=True, kw_only=True):
-    """One run, simulated and mapped.
-
-    Parameters
-    ----------
-    cell
-        What is not as by default.
-    seed
-        Of the run.
-    files
-        SHA-256 of the arena files named in the cell, by path.
-    """
-
-    cell: dict[str, Value]
-    seed: int
-    files: dict[str, str] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,35 +143,6 @@ def flatten(table: msgspec.Struct, prefix: str = "") -> dict[str, Any]:
         elif value is not msgspec.UNSET:
             found[f"{prefix}{name}"] = msgspec.to_builtins(value)
     return found
-
-
-def part(cell: Cell, name: str) -> dict[str, Any]:
-    """Return the keys of a cell under ``name``, as nested tables."""
-    nested: dict[str, Any] = {}
-    for dotted, value in cell.items():
-        first, *path, last = dotted.split(".")
-        if first == name:
-            table = nested
-            for key in path:
-                table = table.setdefault(key, {})
-            table[last] = value
-    return nested
-
-
-def run_config(cell: Cell, *, seed: int) -> RunConfig:
-    """Return what ``biobot-sim run`` would be told."""
-    return msgspec.convert(part(cell, "run") | {"seed": seed}, RunConfig)
-
-
-def recipe_config(cell: Cell) -> RecipeConfig:
-    """Return what ``biobot-mapper run`` would be told."""
-    return msgspec.convert(part(cell, "recipe"), RecipeConfig)
-
-
-def arena_files(cell: Cell) -> list[str]:
-    """List the arena files that a cell names."""
-    later = [text.partition(":")[2] for text in cell.get("run.arena_then", ())]
-    return [path for path in (cell.get("run.arena"), *later) if path is not None]
 
 
 def _check(cells: tuple[Cell, ...], *, seed: int) -> list[str]:

@@ -12,7 +12,7 @@ from mapper.pipeline import MIN_ENCOUNTERS, compute_map
 from mapper.types import EncounterTable, ModeSpell
 from simulator.expedition import Expedition
 from simulator.sensed_run import sensing_config
-from studies.sweep.definition import Cell, SweepCase, recipe_config, run_config
+from studies.sweep.case import Cell, SweepCase, recipe_config, run_config
 from studies.trials import SETTINGS, simulate
 
 Betti = tuple[int, int]

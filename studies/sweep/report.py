@@ -10,7 +10,8 @@ from math import sqrt
 import numpy as np
 
 from studies.cases import Finished
-from studies.sweep.definition import Cell, Sweep, SweepCase, Value
+from studies.sweep.case import Cell, SweepCase, Value
+from studies.sweep.definition import Sweep
 from studies.sweep.map_case import CaseResult
 
 _Z = 1.959964  # deviations of a normal distribution to either side, with 19 in 20 between
