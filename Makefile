@@ -46,6 +46,9 @@ system-packages:  ## install Chromium for the browser tests (Debian)
 train: venv  ## train the hole classifier anew on simulated arenas (hours; resumable)
 	$(PY) -m studies.train_classifier $(ARGS)
 
+sweep: venv  ## simulate and map over a grid of parameters (resumable; ARGS="studies/data/recipes.toml --csv out.csv")
+	$(PY) -m studies.sweep $(ARGS)
+
 theory: venv  ## compare motion, meetings and walls with theory, and encounters with brute force (minutes)
 	$(PY) -m studies.motion_theory $(ARGS) && $(PY) -m studies.encounter_check
 
@@ -65,4 +68,4 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) simulator/engine/*.so mapper/kernels/*.so build dist demo-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train theory bench-sim campaign-walls lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim campaign-walls lock docker-check clean

@@ -67,7 +67,7 @@ class Journal:
     Raises
     ------
     JournalError
-        The file cannot be read or written, is no journal, belongs to another study, or is damaged elsewhere than at its end.
+        The file cannot be read or written, is no file or no journal, belongs to another study, or is damaged elsewhere than at its end.
     JournalBusyError
         Another process has it open.
     """
@@ -155,6 +155,8 @@ class Journal:
 
 
 def _open_alone(path: Path) -> Any:
+    if path.exists() and not path.is_file():
+        raise JournalError(path=path, problem="is no file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a+b", buffering=0)

@@ -11,7 +11,6 @@ import importlib.util
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -63,13 +62,12 @@ def modules_behind(name: str) -> dict[str, Path]:
     return found
 
 
-@cache
-def _sources(name: str) -> tuple[tuple[str, bytes], ...]:
+def _sources(name: str) -> list[tuple[str, bytes]]:
     modules = modules_behind(name)
     python = {one: reduce_source(path.read_bytes()) for one, path in modules.items()}
     beside = {file for path in modules.values() if path.name == "__init__.py" for file in path.parent.glob("*.[ch]")}
     compiled = {f"{file.parent.name}/{file.name}": file.read_bytes() for file in beside}
-    return tuple(sorted((python | compiled).items()))
+    return sorted((python | compiled).items())
 
 
 def reduce_source(source: bytes) -> bytes:

@@ -6,14 +6,14 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Generic
 
 import msgspec
 
 from studies.cases.journal import Entry, Failure, Journal
-from studies.cases.program import fingerprint
+from studies.cases.program import PackageFile, fingerprint
 from studies.cases.progress import Progress
 from studies.cases.study import CaseT, ResultT, Study, plain
 from studies.cases.workers import Workers
@@ -140,6 +140,11 @@ def _computed(workers: Workers, attempt: Callable[[tuple[str, CaseT]], Entry], t
         yield from workers.map(attempt, todo)
 
 
+@cache
+def _own_program(compute: Callable[..., Any], files: tuple[PackageFile, ...]) -> str:
+    return fingerprint(compute, files)
+
+
 def _attempt(study: Study[CaseT, ResultT], wanted_program: str | None, item: tuple[str, CaseT]) -> Entry:
     """Compute one case, in a worker.
 
@@ -149,7 +154,7 @@ def _attempt(study: Study[CaseT, ResultT], wanted_program: str | None, item: tup
         What the worker must run: another one computes nothing, and says which it is. None where it cannot be another.
     """
     name, case = item
-    own = "" if wanted_program is None else fingerprint(study.compute, study.files)
+    own = "" if wanted_program is None else _own_program(study.compute, study.files)
     if own != (wanted_program or ""):
         return Entry(digest=name, program=own, seconds=0.0)
     began_s = time.perf_counter()

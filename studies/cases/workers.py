@@ -1,6 +1,10 @@
 """Who computes: processes of this machine through joblib, or a Dask cluster."""
 
 import contextlib
+import functools
+import os
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -15,9 +19,8 @@ ResultT = TypeVar("ResultT")
 
 LOCAL_CLUSTER = "local"
 
-# Workers of a parent that was killed go by themselves after so long without work.
-_IDLE_S = 30
 _CONNECT_S = 30
+_LOOK_EVERY_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +55,9 @@ class Workers:
             A process was killed, or crashed.
         """
         with self._backend() as parallel:
-            results = parallel(joblib.delayed(compute)(item) for item in items)
+            # Dask looks after its own processes.
+            parent = os.getpid() if self.dask is None else None
+            results = parallel(joblib.delayed(_compute_under)(parent, compute, item) for item in items)
             with contextlib.closing(results):
                 try:
                     yield from results
@@ -71,8 +76,26 @@ class Workers:
             yield joblib.Parallel(n_jobs=1, **how)
         else:
             # One thread each, so that the cores are shared out once and not twice.
-            with joblib.parallel_config(backend="loky", inner_max_num_threads=1, idle_worker_timeout=_IDLE_S):
+            with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
                 yield joblib.Parallel(n_jobs=jobs, **how)
+
+
+def _compute_under(parent: int | None, compute: Callable[[ItemT], ResultT], item: ItemT) -> ResultT:
+    if parent is not None and parent != os.getpid():
+        _follow(parent)
+    return compute(item)
+
+
+@functools.cache
+def _follow(parent: int) -> None:
+    """End this process when its parent is gone: what it computed would reach nobody, and it would wait for more for ever."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOK_EVERY_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True, name="watch-parent").start()
 
 
 @contextlib.contextmanager

@@ -90,7 +90,7 @@ def load_sweep(path: Path, *, flags: Mapping[str, object]) -> Sweep:
         [
             ("name", Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]),
             ("repeats", Annotated[int, msgspec.Meta(ge=1, le=MAX_CASES)], 20),
-            ("first_seed", Annotated[int, msgspec.Meta(ge=0, lt=2**63)], HELD_OUT_SEED),
+            ("first_seed", Annotated[int, msgspec.Meta(ge=0, le=2**62)], HELD_OUT_SEED),
             ("grid", GridTable, msgspec.field(default_factory=GridTable)),
             ("cases", tuple[CaseTable, ...], ()),  # type: ignore[valid-type]  # made here
         ],

@@ -12,8 +12,9 @@ import pytest
 from mapper.feasibility import encounter_rate
 from mapper.resolution import chance_found, chance_of_false_hole, count_deviation, load_law, outside_ranges
 from studies import feasibility_check
+from studies.cases import Options, Workers, results_of, run_cases
 from studies.feasibility_fit import as_plan, fit_law, loss, with_obstacle
-from studies.feasibility_runs import OBSTACLE, Outcome, ScaledPlan, draw_plan, run_plan, run_plans
+from studies.feasibility_runs import OBSTACLE, PLANS, Outcome, PlanCase, ScaledPlan, draw_plan, run_plan
 
 SHORT = ScaledPlan(biobots=20, landmarks=5, detection=0.05, leg=0.3, path=4.0, obstacle=0.3)
 LAW = load_law()
@@ -88,18 +89,19 @@ def test_drawn_plans_keep_to_their_ranges_and_one_in_five_is_empty() -> None:
 def test_runs_have_as_many_encounters_as_the_gas() -> None:
     """Ten runs of about 150 encounters: the mean is known to 3.5 %, and walls and obstacle lower it by 9 % here."""
     plan = as_plan(SHORT, knows_obstacle=True)
-    outcomes = list(run_plans([(SHORT, seed) for seed in range(10)], folder=None))
+    outcomes = [run_plan(SHORT, seed) for seed in range(10)]
     counted = np.mean([one.n_encounters - one.n_together for one in outcomes])
     assert counted == pytest.approx(encounter_rate(plan) * plan.duration_s, rel=0.1)
 
 
-def test_a_finished_run_is_taken_from_the_folder(tmp_path: Path) -> None:
-    (first,) = run_plans([(SHORT, 3)], folder=tmp_path)
-    assert first == run_plan(SHORT, 3)
-    (path,) = tmp_path.iterdir()
-    path.write_text(json.dumps(asdict(replace(first, n_encounters=12_345))))
-    (second,) = run_plans([(SHORT, 3)], folder=tmp_path)
-    assert second.n_encounters == 12_345
+def test_a_finished_run_is_taken_from_the_journal_as_it_was(tmp_path: Path) -> None:
+    options = Options(journal=tmp_path / "runs.jsonl", workers=Workers(jobs=1))
+    cases = [PlanCase(scaled=SHORT, seed=3), PlanCase(scaled=replace(SHORT, obstacle=0.0), seed=3)]
+    first = results_of(run_cases(PLANS, cases, options, label="short"))
+    assert first == [run_plan(case.scaled, 3) for case in cases]
+    written = (tmp_path / "runs.jsonl").read_bytes()
+    assert results_of(run_cases(PLANS, cases, options, label="short")) == first
+    assert (tmp_path / "runs.jsonl").read_bytes() == written
 
 
 def test_a_large_obstacle_among_many_is_found_and_an_empty_arena_has_none() -> None:

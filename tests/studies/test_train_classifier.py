@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,12 @@ import pytest
 
 from mapper.betti import judge_intervals, load_trained_rules
 from mapper.config import RecipeConfig, make_recipe
-from mapper.types import Method, MetricKind
+from mapper.types import Method, MetricKind, Recipe
 from studies import hole_count, train_classifier
+from studies.cases import Options, Workers, results_of, run_cases
 from studies.hole_count import tally
 from studies.train_classifier import TRAINING_RUNS, share_right, train
-from studies.trials import SETTINGS, Setting, Trial, run_trial, run_trials
+from studies.trials import SETTINGS, TRIALS, Setting, Trial, TrialCase, run_trial
 
 HISSERS = SETTINGS["big-square/hisser-field"]
 SHORT = dataclasses.replace(HISSERS, name="short", duration_s=120.0)
@@ -49,12 +51,16 @@ def test_in_dimension_zero_nothing_finite_seen_in_training_is_real() -> None:
         assert not any(judge_intervals(trial.merges, merges, diameter=1.0).any() for trial in trials)
 
 
-def test_a_finished_trial_is_taken_from_the_cache_and_is_the_same(tmp_path: Path) -> None:
-    first = list(run_trials(SHORT, [1, 2], RECIPE, cache=tmp_path))
-    written = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    again = list(run_trials(SHORT, [1, 2], RECIPE, cache=tmp_path))
-    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
-    assert len(written) == 2
+def _cases(seeds: Iterable[int], *, setting: Setting = SHORT, recipe: Recipe = RECIPE) -> list[TrialCase]:
+    return [TrialCase(setting=setting, seed=seed, recipe=recipe) for seed in seeds]
+
+
+def test_a_finished_trial_is_taken_from_the_journal_and_is_the_same(tmp_path: Path) -> None:
+    options = Options(journal=tmp_path / "trials.jsonl", workers=Workers(jobs=1))
+    first = results_of(run_cases(TRIALS, _cases([1, 2]), options, label="short"))
+    written = (tmp_path / "trials.jsonl").read_bytes()
+    again = results_of(run_cases(TRIALS, _cases([1, 2]), options, label="short"))
+    assert (tmp_path / "trials.jsonl").read_bytes() == written
     for one, other, fresh in zip(first, again, [run_trial(SHORT, seed, RECIPE) for seed in (1, 2)], strict=True):
         for trial in (other, fresh):
             assert (one.seed, one.true_holes, one.counted) == (trial.seed, trial.true_holes, trial.counted)
@@ -62,14 +68,16 @@ def test_a_finished_trial_is_taken_from_the_cache_and_is_the_same(tmp_path: Path
             assert np.array_equal(one.merges, trial.merges)
 
 
-def test_another_recipe_or_setting_has_its_own_cache(tmp_path: Path) -> None:
-    for setting, recipe in [
-        (SHORT, RECIPE),
-        (dataclasses.replace(SHORT, mean_leg=6.0), RECIPE),
-        (SHORT, dataclasses.replace(RECIPE, n_points=120)),
-    ]:
-        list(run_trials(setting, [1], recipe, cache=tmp_path))
-    assert len(list(tmp_path.iterdir())) == 3
+def test_another_recipe_or_setting_is_another_case_but_the_rule_that_judges_afterwards_is_not() -> None:
+    others = [
+        *_cases([1, 2]),
+        *_cases([1], setting=dataclasses.replace(SHORT, mean_leg=6.0)),
+        *_cases([1], recipe=dataclasses.replace(RECIPE, n_points=120)),
+    ]
+    assert len({TRIALS.digest(case) for case in others}) == 4
+    rules = load_trained_rules(Method.PAPER, MetricKind.ENCOUNTER).rules
+    (judged,) = _cases([1], recipe=dataclasses.replace(RECIPE, betti_rules=rules))
+    assert TRIALS.digest(judged) == TRIALS.digest(others[0])
 
 
 def test_a_tally_counts_by_true_number_of_holes() -> None:
@@ -85,13 +93,17 @@ def test_a_tally_counts_by_true_number_of_holes() -> None:
 def test_the_shipped_rules_count_unseen_arenas_right() -> None:
     """Twelve runs of the coarse `paper-units`: above nine tenths are right in the long run, so two errors in twelve are unlikely enough."""
     setting: Setting = SETTINGS["squares/paper-units"]
-    trials = list(run_trials(setting, range(20_000, 20_012), RECIPE, cache=None))
+    options = Options(workers=Workers(jobs=1))
+    trials = results_of(run_cases(TRIALS, _cases(range(20_000, 20_012), setting=setting), options, label="unseen"))
     assert sum(trial.counted == (1, trial.true_holes) for trial in trials) >= 10
 
 
 def test_the_quick_command_writes_rules_for_every_method_and_metric(tmp_path: Path) -> None:
     out = tmp_path / "classifier.json"
-    assert train_classifier.main(["--quick", "--setting", HISSERS.name, "--out", str(out), "--cache", str(tmp_path / "trials")]) == 0
+    assert (
+        train_classifier.main(["--quick", "--setting", HISSERS.name, "--out", str(out), "--cache", str(tmp_path / "trials"), "--jobs", "2"])
+        == 0
+    )
     entries = json.loads(out.read_text())
     assert set(entries) == {f"{method}/{metric}" for method in Method for metric in MetricKind}
     assert all(entry["command"].endswith("--quick --setting big-square/hisser-field") for entry in entries.values())
@@ -106,7 +118,7 @@ def test_the_shipped_rules_name_the_command_and_runs_they_come_from(method: Meth
 
 
 def test_judging_prints_a_line_for_each_setting(capsys: pytest.CaptureFixture[str]) -> None:
-    assert hole_count.main(["--setting", "big-square/hisser-field", "--runs", "2"]) == 0
+    assert hole_count.main(["--setting", "big-square/hisser-field", "--runs", "2", "--jobs", "1"]) == 0
     assert "big-square/hisser-field" in capsys.readouterr().out
 
 
