@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import itertools
 import os
 import threading
 import time
@@ -20,6 +21,7 @@ ResultT = TypeVar("ResultT")
 LOCAL_CLUSTER = "local"
 
 _CONNECT_S = 30
+_AHEAD = 2  # cases handed to a cluster for each of its threads
 _LOOK_EVERY_S = 1.0
 
 
@@ -54,34 +56,24 @@ class Workers:
         WorkerLostError
             A process was killed, or crashed.
         """
-        with self._backend() as parallel:
-            # Dask looks after its own processes.
-            parent = os.getpid() if self.dask is None else None
-            results = parallel(joblib.delayed(_compute_under)(parent, compute, item) for item in items)
+        jobs = self.jobs or joblib.cpu_count()
+        if self.dask is not None:
+            yield from _map_by_dask(compute, items, address=self.dask, jobs=jobs)
+            return
+        # One thread each, so that the cores are shared out once and not twice. One case at a time: it is on disk at once, and takes long
+        # compared with being handed over.
+        with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+            parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+            results = parallel(joblib.delayed(_compute_under)(os.getpid(), compute, item) for item in items)
             with contextlib.closing(results):
                 try:
                     yield from results
                 except BrokenProcessPool as error:
                     raise WorkerLostError(problem=str(error).splitlines()[0]) from error
 
-    @contextlib.contextmanager
-    def _backend(self) -> Iterator[Any]:
-        # One case at a time: what is handed over is on disk at once, and cases take long compared with handing over.
-        how = {"return_as": "generator_unordered", "batch_size": 1}
-        jobs = self.jobs or joblib.cpu_count()
-        if self.dask is not None:
-            with _dask_client(self.dask, jobs=jobs) as client, joblib.parallel_config(backend="dask", client=client):
-                yield joblib.Parallel(n_jobs=-1, **how)
-        elif jobs == 1:
-            yield joblib.Parallel(n_jobs=1, **how)
-        else:
-            # One thread each, so that the cores are shared out once and not twice.
-            with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-                yield joblib.Parallel(n_jobs=jobs, **how)
 
-
-def _compute_under(parent: int | None, compute: Callable[[ItemT], ResultT], item: ItemT) -> ResultT:
-    if parent is not None and parent != os.getpid():
+def _compute_under(parent: int, compute: Callable[[ItemT], ResultT], item: ItemT) -> ResultT:
+    if parent != os.getpid():
         _follow(parent)
     return compute(item)
 
@@ -98,8 +90,41 @@ def _follow(parent: int) -> None:
     threading.Thread(target=watch, daemon=True, name="watch-parent").start()
 
 
+def _map_by_dask(compute: Callable[[ItemT], ResultT], items: Iterable[ItemT], *, address: str, jobs: int) -> Iterator[ResultT]:
+    """Keep a cluster busy, however it grows and shrinks, without handing it all cases at once.
+
+    Notes
+    -----
+    Not through joblib, which computes in its own process where a cluster has one thread.
+    """
+    waiting = iter(items)
+    with _dask_client(address, jobs=jobs) as (distributed, client):
+        running = distributed.as_completed(with_results=False)
+
+        def hand_over() -> None:
+            wanted = _AHEAD * sum(client.nthreads().values()) - running.count()
+            for item in itertools.islice(waiting, max(1, wanted)):
+                running.add(client.submit(compute, item, pure=False))
+
+        hand_over()
+        for future in running:
+            try:
+                result = future.result()
+                hand_over()
+            except distributed.KilledWorker as error:
+                raise WorkerLostError(problem="a case took four of them with it") from error
+            except Exception as error:  # what a case raises is a result: all else is the cluster's, which has many ways to fail
+                told = " ".join(f"{type(error).__name__}: {error}".split())
+                problem = (
+                    f"it failed ({told}); are scheduler and workers up, and is this version of biobot on all of them? What is done is kept"
+                )
+                raise DaskError(address=address, problem=problem) from error
+            yield result
+
+
 @contextlib.contextmanager
-def _dask_client(address: str, *, jobs: int) -> Iterator[Any]:
+def _dask_client(address: str, *, jobs: int) -> Iterator[tuple[Any, Any]]:
+    """Connect to a cluster, or start one; give Dask's module and the client."""
     try:
         import distributed  # noqa: PLC0415  # an extra, and a second to import
     except ImportError as error:
@@ -107,9 +132,9 @@ def _dask_client(address: str, *, jobs: int) -> Iterator[Any]:
     with contextlib.ExitStack() as stack:
         if address == LOCAL_CLUSTER:
             # Dask itself gives its processes one thread for each library (distributed.nanny.pre-spawn-environ).
-            cluster = distributed.LocalCluster(n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None)
+            cluster = distributed.LocalCluster(n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0")
             stack.enter_context(cluster)
-            yield stack.enter_context(distributed.Client(cluster))
+            yield distributed, stack.enter_context(distributed.Client(cluster))
             return
         try:
             client = stack.enter_context(distributed.Client(address, timeout=_CONNECT_S))
@@ -117,4 +142,4 @@ def _dask_client(address: str, *, jobs: int) -> Iterator[Any]:
         except (OSError, ValueError, TimeoutError) as error:
             problem = f"no scheduler with workers answers within {_CONNECT_S} s ({error}); start one, or leave --dask out"
             raise DaskError(address=address, problem=problem) from error
-        yield client
+        yield distributed, client

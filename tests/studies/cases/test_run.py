@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from studies.cases import Changed, Options, Study, Workers, results_of, run_cases
-from studies.errors import CaseFailedError, ChangedProgramError, DaskError, JournalBusyError, JournalError, WorkerLostError
+from studies.errors import (
+    CaseFailedError,
+    ChangedProgramError,
+    DaskError,
+    ForeignProgramError,
+    JournalBusyError,
+    JournalError,
+    WorkerLostError,
+)
 from tests.studies.cases.arithmetic import SQUARES, Squared, Sum
 
 ONE = Workers(jobs=1)
@@ -47,6 +55,27 @@ def test_a_dask_cluster_gives_the_same(tmp_path: Path) -> None:
     assert content(results_of(finished[:-1])) == content(results_of(run_cases(SQUARES, CASES, Options(workers=ONE), label="sums")))
     assert finished[-1].failure is not None
     assert all(one.result is None or one.result.threads == "1" for one in finished)
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="the extra 'dask' is not installed")
+def test_a_cluster_computes_what_this_program_would_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cluster is started where a module squares; the same module then cubes here."""
+    distributed = importlib.import_module("distributed")
+    for name, power in (("there", 2), ("here", 3)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "powers_elsewhere.py").write_text(f"def compute(case: int) -> int:\n    return case**{power}\n")
+    with monkeypatch.context() as place:
+        place.syspath_prepend(tmp_path / "there")
+        cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0")
+    monkeypatch.syspath_prepend(tmp_path / "here")
+    with cluster:
+        options = Options(journal=tmp_path / "powers.jsonl", workers=Workers(dask=cluster.scheduler_address))
+        compute = importlib.import_module("powers_elsewhere").compute
+        with pytest.raises(ForeignProgramError, match="on the whole cluster"):
+            run_cases(Study(name="powers", compute=compute, result_type=int), [2, 3], options, label="powers")
+        assert rows(tmp_path / "powers.jsonl") == []
+        squares = replace(options, journal=None)
+        assert content(results_of(run_cases(SQUARES, CASES, squares, label="sums")))[2] == (4, 2**0.5, [[2.0, 4.0], [2.0, 4.0]])
 
 
 @pytest.mark.skipif(find_spec("distributed") is None, reason="the extra 'dask' is not installed")

@@ -23,7 +23,7 @@ from studies.sweep.report import account_for, table, tell_failures, to_csv, to_j
 KILL_WITHIN_S = 60.0
 DEFINITION = """
 name = "short"
-repeats = 20
+repeats = 14
 [grid.run]
 preset = ["hisser-field"]
 scenario = ["one-obstacle"]
@@ -54,14 +54,14 @@ def test_a_sweep_that_was_killed_goes_on_and_gives_what_an_undisturbed_one_gives
     process.kill()
     process.wait()
     n_before = journal.read_bytes().count(b"\n") - 1
-    assert 5 <= n_before < 40
+    assert 5 <= n_before < 28
 
     assert main([str(definition), "--journal", str(journal), "--jobs", "2", "--json", str(tmp_path / "resumed.json")]) == 0
-    assert f"40 of 40 cases, {n_before} of them before" in capsys.readouterr().err
+    assert f"28 of 28 cases, {n_before} of them before" in capsys.readouterr().err
     digests = [json.loads(line)["digest"] for line in journal.read_text().splitlines()[1:]]
-    assert len(set(digests)) == len(digests) == 40
+    assert len(set(digests)) == len(digests) == 28
 
-    whole = ["--journal", str(tmp_path / "whole.jsonl"), "--jobs", "1", "--json", str(tmp_path / "whole.json")]
+    whole = ["--journal", str(tmp_path / "whole.jsonl"), "--jobs", "2", "--json", str(tmp_path / "whole.json")]
     assert main([str(definition), *whole]) == 0
     assert without_times(tmp_path / "resumed.json") == without_times(tmp_path / "whole.json")
 
@@ -109,7 +109,7 @@ def test_a_bad_definition_ends_with_2_and_a_busy_or_foreign_journal_with_1(tmp_p
     assert "amaze" in capsys.readouterr().err
     definition.write_text(DEFINITION)
     assert main([str(definition), "--check-config"]) == 0
-    assert "2 cells, 40 cases, seeds 10000 to 10019" in capsys.readouterr().out
+    assert "2 cells, 28 cases, seeds 10000 to 10013" in capsys.readouterr().out
     (tmp_path / "journal").write_text("mine\n")
     assert main([str(definition), "--journal", str(tmp_path / "journal")]) == 1
     assert "is no journal" in capsys.readouterr().err
