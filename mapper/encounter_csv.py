@@ -2,11 +2,17 @@
 
 Columns are found by their names, in any order; further columns are left alone. A byte order mark, CRLF, quoted fields, blank lines and
 spaces around a value are accepted. Times are decimal seconds and become whole nanoseconds without passing through a float.
+
+Files of encounters are read by the compiled library where it is there and every row is plain. Everything else, and whatever is wrong, is
+read here row by row: the same table, and the words for what is wrong.
 """
 
+import codecs
 import csv
 import io
+import os
 import re
+import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -14,10 +20,13 @@ from enum import Enum
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NS_PER_S, NodeId
 from mapper.errors import InputFileError
-from mapper.types import EncounterTable, ModeSpell
+from mapper.kernels import find_library, read_rows
+from mapper.types import EncounterTable, IntArray, KernelsKind, ModeSpell
 from mapper.window import make_encounter_table
 
 ENCOUNTER_COLUMNS = ("t_start_s", "t_end_s", "id1", "id2")
@@ -28,6 +37,7 @@ _MAX_ID = 2**63 - 1
 # Sums of two instants, and a whole span in half nanoseconds, must fit 63 bits. Wall clocks since 1970 are near 1.8e9 s.
 _MIN_TIME_S, _MAX_TIME_S = -300_000_000, 4_000_000_000
 _SHOWN_LENGTH = 40
+_PIECE_BYTES = 2**20
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?", re.ASCII)
 _WHOLE = re.compile(r"[0-9]{1,40}", re.ASCII)
 
@@ -53,16 +63,27 @@ class _FieldError(ValueError):
     """A value in a row is not what its column wants."""
 
 
-def read_encounters(path: Path) -> EncounterTable:
+def read_encounters(path: Path, *, kernels: KernelsKind | None = None) -> EncounterTable:
     """Read a file with the columns ``t_start_s,t_end_s,id1,id2``.
+
+    Parameters
+    ----------
+    kernels
+        Whether the compiled library reads plain files; None takes it where it is. The table is the same, and so is every error.
 
     Raises
     ------
     InputFileError
         The file cannot be read, is no such CSV, or has bad rows; up to ten are listed with line and reason, and the rest counted.
+    KernelsError
+        As for `mapper.kernels.choose_kernels`.
     """
-    rows = _read_rows(path, columns=ENCOUNTER_COLUMNS, parse=_parse_encounter)
-    start, end, id1, id2 = zip(*rows, strict=True) if rows else ((), (), (), ())
+    data = _read_bytes(path)
+    columns = _read_plain_rows(path, data, kernels)
+    if columns is None:
+        rows = _read_rows(path, data, columns=ENCOUNTER_COLUMNS, parse=_parse_encounter)
+        columns = tuple(np.array(rows, dtype=np.int64).reshape(-1, 4).T)
+    start, end, id1, id2 = columns
     return make_encounter_table(t_start_ns=start, t_end_ns=end, id1=id1, id2=id2)
 
 
@@ -74,13 +95,43 @@ def read_modes(path: Path) -> tuple[ModeSpell, ...]:
     InputFileError
         As for `read_encounters`.
     """
-    return tuple(_read_rows(path, columns=MODE_COLUMNS, parse=_parse_spell))
+    return tuple(_read_rows(path, _read_bytes(path), columns=MODE_COLUMNS, parse=_parse_spell))
 
 
-def _read_rows(path: Path, *, columns: Sequence[str], parse: Callable[[Mapping[str, str]], RowT]) -> list[RowT]:
+def _read_plain_rows(path: Path, data: bytes, kernels: KernelsKind | None) -> tuple[IntArray, ...] | None:
+    """Read start, end [ns] and ids by the compiled library; None where it is not there or anything is out of the ordinary."""
+    library = find_library(kernels)
+    begin = data.find(b"\n") + 1
+    if library is None or begin == 0 or not _is_text(data):
+        return None
+    faults = _Faults()
+    header = list(_records(data[:begin].decode("utf-8-sig"), faults))
+    if faults.count or len(header) != 1:
+        return None
+    place = _find_columns(path, header[0], columns=ENCOUNTER_COLUMNS, faults=faults)
+    return read_rows(library, data, begin=begin, places=tuple(place.values()), longest_field=csv.field_size_limit())
+
+
+def _is_text(data: bytes) -> bool:
+    """Say whether a file is UTF-8 without NUL, with no copy of all of it."""
+    if b"\0" in data:
+        return False
+    if data.isascii():
+        return True
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    try:
+        for begin in range(0, len(data), _PIECE_BYTES):
+            decoder.decode(data[begin : begin + _PIECE_BYTES])
+        decoder.decode(b"", final=True)
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _read_rows(path: Path, data: bytes, *, columns: Sequence[str], parse: Callable[[Mapping[str, str]], RowT]) -> list[RowT]:
     faults = _Faults()
     parsed: list[RowT] = []
-    records = _records(_read_text(path), faults)
+    records = _records(_decode(path, data), faults)
     place = _find_columns(path, next(records, None), columns=columns, faults=faults)
     for line, record in records:
         try:
@@ -92,10 +143,13 @@ def _read_rows(path: Path, *, columns: Sequence[str], parse: Callable[[Mapping[s
     return parsed
 
 
-def _read_text(path: Path) -> str:
+def _read_bytes(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            data = file.read(_MAX_FILE_BYTES + 1)
+            status = os.fstat(file.fileno())
+            is_small = stat.S_ISREG(status.st_mode) and status.st_size <= _MAX_FILE_BYTES
+            # With a number of bytes given, room for all of them is taken first.
+            data = file.read() if is_small else file.read(_MAX_FILE_BYTES + 1)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputFileError(path=str(path), faults=[f"cannot be read: {reason}; give the path of a CSV file"]) from error
@@ -103,6 +157,10 @@ def _read_text(path: Path) -> str:
         raise InputFileError(path=repr(str(path)), faults=[f"cannot be read: {error}"]) from error
     if len(data) > _MAX_FILE_BYTES:
         raise InputFileError(path=str(path), faults=[f"is longer than {_MAX_FILE_BYTES} bytes; split it by time"])
+    return data
+
+
+def _decode(path: Path, data: bytes) -> str:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
 from mapper.errors import UnknownBiobotError
-from mapper.types import EncounterTable, ModeSpell, read_only
+from mapper.types import EncounterTable, IntArray, ModeSpell, read_only
 
 # A centre in half nanoseconds must fit 63 bits.
 _MAX_SPAN_NS = 2**62 - 1
@@ -37,14 +37,35 @@ def make_encounter_table(*, t_start_ns: ArrayLike, t_end_ns: ArrayLike, id1: Arr
     if len(start) and int(end.max()) - int(start.min()) > _MAX_SPAN_NS:
         raise ValueError(f"encounters span {int(end.max()) - int(start.min())} ns; wanted at most {_MAX_SPAN_NS}; are two clocks mixed?")
     low, high = np.minimum(first, second), np.maximum(first, second)
-    order = np.lexsort((high, low, end, start))
-    return EncounterTable(
-        t_start_ns=read_only(start[order]),
-        t_end_ns=read_only(end[order]),
-        id1=read_only(low[order]),
-        id2=read_only(high[order]),
-        source_row=read_only(order.astype(np.int64)),
-    )
+    order = _canonical_order(start, end, low, high)
+    if order is None:
+        # The caller's arrays stay the caller's; the ids are new in any case.
+        columns = start.copy(), end.copy(), low, high, np.arange(len(start), dtype=np.int64)
+    else:
+        columns = start[order], end[order], low[order], high[order], order
+    start, end, low, high, source_row = map(read_only, columns)
+    return EncounterTable(t_start_ns=start, t_end_ns=end, id1=low, id2=high, source_row=source_row)
+
+
+def _canonical_order(start: IntArray, end: IntArray, low: IntArray, high: IntArray) -> IntArray | None:
+    """Return the rows by start, end and ids, equal ones as they came, or None where they are in that order already.
+
+    Few encounters begin in the same nanosecond: rows are sorted by start alone, and those that tie by the other columns.
+    """
+    order = None if np.all(start[:-1] <= start[1:]) else np.argsort(start, kind="stable")
+    begun = start if order is None else start[order]
+    is_next_equal = begun[:-1] == begun[1:]
+    if not is_next_equal.any():
+        return order
+    tied = np.flatnonzero(np.append(is_next_equal, False) | np.insert(is_next_equal, 0, False))
+    rows = tied if order is None else order[tied]
+    repaired = rows[np.lexsort((high[rows], low[rows], end[rows], start[rows]))]
+    if order is None:
+        if np.array_equal(repaired, rows):
+            return None
+        order = np.arange(len(start), dtype=np.int64)
+    order[tied] = repaired
+    return order
 
 
 def stationary_spells(table: EncounterTable, ids: Sequence[int]) -> tuple[ModeSpell, ...]:
@@ -65,8 +86,14 @@ def absent_biobots(table: EncounterTable, ids: Sequence[int]) -> tuple[int, ...]
     UnknownBiobotError
         None of them is in any; with no ids nothing is raised.
     """
-    present = set(table.id1.tolist()) | set(table.id2.tolist())
-    absent = tuple(sorted(set(ids) - present))
-    if absent and len(absent) == len(set(ids)):
+    wanted = np.unique(np.array(ids, dtype=np.int64))
+    if len(wanted) == 0:
+        return ()
+    is_present = np.zeros(len(wanted), dtype=bool)
+    for column in (table.id1, table.id2):
+        place = np.minimum(np.searchsorted(wanted, column), len(wanted) - 1)
+        is_present[place[wanted[place] == column]] = True
+    absent = tuple(wanted[~is_present].tolist())
+    if len(absent) == len(wanted):
         raise UnknownBiobotError(ids=absent)
     return absent

@@ -45,6 +45,8 @@ _FUNCTIONS = {
     "pick_maxmin": (c_int32, (*_ROWS, c_int32, c_int32, _Array, _Array, _Array, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
     "bracket": (c_int, (_Array, c_int64, c_int32, _Array, _Array)),
     "pick_profiles": (c_int32, (_Array, c_int64, c_int32, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
+    "read_rows": (c_int64, (_Array, c_int64, _Array, c_int64, c_int64, _Array, _Array, _Array, _Array)),
+    "count_lines": (c_int64, (_Array, c_int64)),
     "kernels_layout": (c_int64, ()),
 }
 

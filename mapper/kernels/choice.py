@@ -1,5 +1,6 @@
 """Which kernels are used: the compiled ones where the library is there, else the plain ones; ``BIOBOT_KERNELS`` may ask for either."""
 
+import ctypes
 import os
 from functools import cache
 from typing import Protocol
@@ -66,3 +67,9 @@ def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
             next_step = "install gcc and libc6-dev and install the package again, or leave the choice to the program"
             raise KernelsError(problem=f"no compiled kernels: {error}", next_step=next_step) from error
         return PlainKernels()
+
+
+def find_library(choice: KernelsKind | None = None) -> ctypes.CDLL | None:
+    """Return the library of the kernels that `choose_kernels` returns, None where they have none; raises what it raises."""
+    kernels = choose_kernels(choice)
+    return kernels.library if isinstance(kernels, CompiledKernels) else None

@@ -28,6 +28,11 @@ class CompiledKernels:
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
 
+    @property
+    def library(self) -> ctypes.CDLL:
+        """The library itself, for what is no kernel."""
+        return self._library
+
     def contract(
         self, centres: IntArray, id1: IntArray, id2: IntArray, *, still: Stands, commanded: Stands, moving_time: bool
     ) -> Contraction:
