@@ -78,12 +78,7 @@ def read_encounters(path: Path, *, kernels: KernelsKind | None = None) -> Encoun
     KernelsError
         As for `mapper.kernels.choose_kernels`.
     """
-    data = _read_bytes(path)
-    columns = _read_plain_rows(path, data, kernels)
-    if columns is None:
-        rows = _read_rows(path, data, columns=ENCOUNTER_COLUMNS, parse=_parse_encounter)
-        columns = tuple(np.array(rows, dtype=np.int64).reshape(-1, 4).T)
-    start, end, id1, id2 = columns
+    start, end, id1, id2 = _read_columns(path, kernels)
     return make_encounter_table(t_start_ns=start, t_end_ns=end, id1=id1, id2=id2)
 
 
@@ -96,6 +91,15 @@ def read_modes(path: Path) -> tuple[ModeSpell, ...]:
         As for `read_encounters`.
     """
     return tuple(_read_rows(path, _read_bytes(path), columns=MODE_COLUMNS, parse=_parse_spell))
+
+
+def _read_columns(path: Path, kernels: KernelsKind | None) -> tuple[IntArray, ...]:
+    data = _read_bytes(path)
+    columns = _read_plain_rows(path, data, kernels)
+    if columns is None:
+        rows = _read_rows(path, data, columns=ENCOUNTER_COLUMNS, parse=_parse_encounter)
+        columns = tuple(np.array(rows, dtype=np.int64).reshape(-1, 4).T)
+    return columns
 
 
 def _read_plain_rows(path: Path, data: bytes, kernels: KernelsKind | None) -> tuple[IntArray, ...] | None:
@@ -147,15 +151,16 @@ def _read_bytes(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             status = os.fstat(file.fileno())
-            is_small = stat.S_ISREG(status.st_mode) and status.st_size <= _MAX_FILE_BYTES
-            # With a number of bytes given, room for all of them is taken first.
-            data = file.read() if is_small else file.read(_MAX_FILE_BYTES + 1)
+            is_regular = stat.S_ISREG(status.st_mode)
+            is_too_long = is_regular and status.st_size > _MAX_FILE_BYTES
+            # A number of bytes to read takes room for all of them first, so it is given where the size is not known alone.
+            data = b"" if is_too_long else file.read(-1 if is_regular else _MAX_FILE_BYTES + 1)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputFileError(path=str(path), faults=[f"cannot be read: {reason}; give the path of a CSV file"]) from error
     except ValueError as error:
         raise InputFileError(path=repr(str(path)), faults=[f"cannot be read: {error}"]) from error
-    if len(data) > _MAX_FILE_BYTES:
+    if is_too_long or len(data) > _MAX_FILE_BYTES:
         raise InputFileError(path=str(path), faults=[f"is longer than {_MAX_FILE_BYTES} bytes; split it by time"])
     return data
 

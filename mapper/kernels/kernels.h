@@ -1,4 +1,4 @@
-/* The mapper's compiled kernels: graph, sweeps, neighbours, subsamples and profiles of encounters.
+/* The mapper's compiled kernels: graph, sweeps, neighbours, subsamples and profiles of encounters, and rows of files of them.
 
    Every function is pure: arrays in, arrays out, nothing kept between calls; several threads may call at a time. Times are whole ticks held in
    doubles (exact up to 2^53); vertices, encounters and links are 32-bit numbers, so a table holds at most 2^31 - 1 encounters.

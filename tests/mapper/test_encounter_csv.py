@@ -1,5 +1,6 @@
 """CSV files, good and bad."""
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -84,6 +85,24 @@ def test_ten_bad_rows_are_listed_and_the_others_counted(tmp_path: Path) -> None:
 def test_a_path_that_cannot_be_read_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputFileError, match="cannot be read"):
         read_encounters(tmp_path / name)
+
+
+def test_a_file_longer_than_the_limit_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "encounters.csv"
+    with path.open("wb") as file:
+        file.truncate(2**30 + 1)
+    with pytest.raises(InputFileError, match="is longer than 1073741824 bytes; split it by time"):
+        read_encounters(path)
+
+
+def test_a_pipe_is_read_to_its_end() -> None:
+    reading, writing = os.pipe()
+    with os.fdopen(writing, "w") as file:
+        file.write(HEADER + GOOD)
+    try:
+        assert len(read_encounters(Path(f"/dev/fd/{reading}"))) == 1
+    finally:
+        os.close(reading)
 
 
 @pytest.mark.parametrize(
