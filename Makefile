@@ -58,6 +58,9 @@ bench-sim: venv  ## how fast the simulator is on one core, beside Mesa (minutes)
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)
 
+check-kernels: venv  ## the mapper's tests of kernels once more, under the address and undefined-behaviour sanitizers (a minute)
+	$(PY) scripts/check_kernels.py $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
@@ -68,4 +71,4 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) simulator/engine/*.so mapper/kernels/*.so build dist demo-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim campaign-walls lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim campaign-walls check-kernels lock docker-check clean

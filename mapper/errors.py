@@ -3,6 +3,7 @@
 MapError
 ├── InputFileError         a file of encounters or modes cannot be used; its faults are listed line by line
 ├── TooFewEncountersError  there is nothing to make a map of yet
+├── TooManyEncountersError the kernels cannot number so many encounters
 ├── UnknownBiobotError     a biobot was named that is in no encounter
 ├── OutputFileError        a result cannot be written where it was asked for
 ├── EngineMissingError     a library that this step needs is not installed
@@ -51,6 +52,15 @@ class TooFewEncountersError(MapError):
         super().__init__(f"{place}{counted}, but a map needs at least {minimum}; record for longer or with more biobots")
         self.n_encounters = n_encounters
         self.minimum = minimum
+
+
+class TooManyEncountersError(MapError):
+    """More encounters than the kernels can number."""
+
+    def __init__(self, *, n_encounters: int, maximum: int) -> None:
+        super().__init__(f"{n_encounters} encounters, but a map can be made of at most {maximum}; map a window of time")
+        self.n_encounters = n_encounters
+        self.maximum = maximum
 
 
 class UnknownBiobotError(MapError):
