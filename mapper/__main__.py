@@ -62,6 +62,7 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     config = load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
     # numpy and scipy take half a second: usage errors and --help do not wait for them.
     from mapper.encounter_csv import read_encounters, read_modes  # noqa: PLC0415
+    from mapper.kernels import choose_kernels  # noqa: PLC0415
     from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415
     from mapper.window import absent_biobots, stationary_spells  # noqa: PLC0415
 
@@ -72,7 +73,10 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     spells = read_modes(args.modes) if args.modes is not None else ()
     stationary = args.stationary or ()
     absent = absent_biobots(table, stationary)
-    result = compute_map(table, (*spells, *stationary_spells(table, stationary)), make_recipe(config.recipe))
+    kernels = choose_kernels()
+    if kernels.shortfall is not None:
+        print(f"biobot-mapper: warning: {kernels.shortfall}", file=sys.stderr)
+    result = compute_map(table, (*spells, *stationary_spells(table, stationary)), make_recipe(config.recipe), kernels=kernels)
     if absent:
         warning = f"stationary biobots {', '.join(map(str, absent))} are in no encounter"
         result = replace(result, warnings=(*result.warnings, warning))

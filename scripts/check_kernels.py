@@ -46,7 +46,7 @@ def main(arguments: list[str]) -> int:
             "PYTHONPATH": folder,
         }
         tests = arguments or [f"tests/mapper/{name}.py" for name in _TESTS]
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests]
+        command = [sys.executable, "-m", "pytest", "-q", "--capture=no", "-p", "no:cacheprovider", *tests]
         return subprocess.run(command, cwd=copy, env=environment, check=False).returncode
 
 
