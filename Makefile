@@ -40,7 +40,7 @@ types: venv
 layers: venv
 	$(VENV)/bin/lint-imports
 
-system-packages:  ## install Chromium for the browser tests (Debian)
+system-packages:  ## install what some tests want: Chromium, a compiler and an emulator for ARM (Debian)
 	sh scripts/system_packages.sh
 
 train: venv  ## train the hole classifier anew on simulated arenas (hours; resumable)

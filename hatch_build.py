@@ -18,8 +18,8 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ENGINE = Path("simulator") / "engine" / "_engine.so"
 KERNELS = Path("mapper") / "kernels" / "_kernels.so"
-_FLAGS = ("-std=c11", "-ffp-contract=off", "-fno-fast-math", "-fPIC", "-fvisibility=hidden", "-shared", "-Wall", "-Wextra")
-_LIBRARIES = {ENGINE: "-O2", KERNELS: "-O3"}
+FLAGS = ("-std=c11", "-ffp-contract=off", "-fno-fast-math", "-fPIC", "-fvisibility=hidden", "-shared", "-Wall", "-Wextra")
+LIBRARIES = {ENGINE: "-O2", KERNELS: "-O3"}
 
 
 class LibrariesBuildHook(BuildHookInterface):  # type: ignore[misc, type-arg]  # hatchling is untyped here
@@ -34,12 +34,12 @@ class LibrariesBuildHook(BuildHookInterface):  # type: ignore[misc, type-arg]  #
         if compiler is None:
             self.app.display_warning("biobot: no C compiler (gcc and libc6-dev): the simulator will not run, the mapper will be slow")
             return
-        for library in _LIBRARIES:
+        for library in LIBRARIES:
             compile_library(root, library, compiler=compiler)
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
         if version != "editable":
-            build_data["force_include"].update({str(root / library): str(library) for library in _LIBRARIES})
+            build_data["force_include"].update({str(root / library): str(library) for library in LIBRARIES})
 
 
 def find_compiler() -> str | None:
@@ -52,7 +52,7 @@ def compile_library(root: Path, library: Path, *, compiler: str) -> None:
     fresh = root / library.with_suffix(f".{os.getpid()}.so")
     folder = (root / library).parent
     sources = [str(path) for path in sorted(folder.glob("*.c"))]
-    command = [*shlex.split(compiler), *_FLAGS, _LIBRARIES[library], f"-DSOURCES={sum_sources(folder)}", *sources, "-o", str(fresh), "-lm"]
+    command = [*shlex.split(compiler), *FLAGS, LIBRARIES[library], f"-DSOURCES={sum_sources(folder)}", *sources, "-o", str(fresh), "-lm"]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except (OSError, subprocess.CalledProcessError) as error:

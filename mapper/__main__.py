@@ -1,4 +1,7 @@
-"""Command line of the mapper: ``run`` maps a file, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show."""
+"""Command line of the mapper.
+
+``run`` maps a file, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need.
+"""
 
 import argparse
 import json
@@ -52,8 +55,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         return serve(args)
     if args.command == "feasibility":
         return _foretell(args)
+    if args.command == "warm-up":
+        return _warm_up(args)
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, serve or feasibility"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, serve, feasibility or warm-up"], status=_EXIT_USAGE)
 
 
 def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
@@ -101,6 +106,17 @@ def _foretell(args: argparse.Namespace) -> int:
     return 0
 
 
+def _warm_up(args: argparse.Namespace) -> int:
+    from mapper.warm_up import warm_up  # noqa: PLC0415  # see _run
+
+    warmth = warm_up()
+    if not args.quiet:
+        print(*warmth.lines(), sep="\n")
+    elif warmth.shortfall is not None:
+        print(f"biobot-mapper: warning: {warmth.shortfall}", file=sys.stderr)
+    return 0
+
+
 def _refuse_to_overwrite(args: argparse.Namespace) -> None:
     inputs = {path.resolve() for path in (args.encounters, args.modes, args.config) if path is not None}
     outputs = [path for path in (args.json, args.svg, args.png) if path is not None and path != Path("-")]
@@ -141,7 +157,7 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
     parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
-    commands = parser.add_subparsers(dest="command", metavar="{run,serve,feasibility}")
+    commands = parser.add_subparsers(dest="command", metavar="{run,serve,feasibility,warm-up}")
     run = commands.add_parser("run", help="make a map of a CSV file", description="Make a map of a CSV file of encounters.")
     _add_common(run, default=argparse.SUPPRESS)
     _add_run_arguments(run)
@@ -158,6 +174,10 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
         from mapper.feasibility_report import add_arguments as add_plan_arguments  # noqa: PLC0415  # see _run
 
         add_plan_arguments(feasibility)
+    about = "Make a map of a known ring: what a map needs is then there and cached, and is named."
+    warm = commands.add_parser("warm-up", help="see that all is there, so that the first map is quick", description=about)
+    _add_common(warm, default=argparse.SUPPRESS)
+    warm.add_argument("--quiet", action="store_true", help="say nothing unless something is wrong or slow")
     return parser
 
 
