@@ -15,6 +15,7 @@ $(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh scripts/compi
 	sh scripts/compiler.sh
 	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable .
+	-$(PY) -m mapper warm-up --quiet
 	touch $(STAMP)
 
 demo: venv  ## insects walk, a gateway listens, a mapper draws; the map opens in a browser (ARGS="--exit --seed 7")

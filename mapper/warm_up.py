@@ -59,7 +59,7 @@ def warm_up() -> Warmth:
         return _warm_up()
     except ImportError as error:
         raise EngineMissingError(
-            library=error.name or str(error), needed_for="the mapper", next_step="pip install 'biobot-gateway[mapper]'"
+            library=(error.name or str(error)).partition(".")[0], needed_for="the mapper", next_step="pip install 'biobot-gateway[mapper]'"
         ) from error
 
 
