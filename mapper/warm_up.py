@@ -5,6 +5,7 @@ Python compiles what is imported, matplotlib lists the fonts, and a library that
 
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 from mapper.errors import EngineMissingError, SelfTestError
@@ -37,7 +38,7 @@ class Warmth:
         return [
             f"kernels      {self.kernels}" if self.shortfall is None else f"kernels      {self.shortfall}",
             f"persistence  {self.persistence}",
-            f"start-up     {self.importing_s:.2f} s to import, {self.map_s:.2f} s for the first map (a ring of {self.n_encounters} encounters)",
+            f"start-up     {self.importing_s:.2f} s to import, {self.map_s:.2f} s for the first map, of {self.n_encounters} encounters",
             f"picture      {self.picture_s:.2f} s",
             f"serve        {self.serving_s:.2f} s to import what it needs besides",
         ]
@@ -90,7 +91,7 @@ def _warm_up() -> Warmth:
     import mapper.service  # noqa: F401, PLC0415  # same
 
     moments.append(time.perf_counter())
-    importing_s, map_s, picture_s, serving_s = (after - before for before, after in zip(moments, moments[1:], strict=False))
+    importing_s, map_s, picture_s, serving_s = (after - before for before, after in pairwise(moments))
     return Warmth(
         kernels=kernels.name,
         shortfall=kernels.shortfall,

@@ -24,7 +24,9 @@ def _build(folder: Path, **variables: str) -> Ran:
     nothing = folder / "no-programs"
     nothing.mkdir()
     environment = {name: value for name, value in os.environ.items() if name != "CC"} | {"PATH": str(nothing)} | variables
-    return subprocess.run([sys.executable, "-c", BUILD, str(folder)], cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", BUILD, str(folder)], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
 
 
 def _run(installed: Path, *arguments: object, **variables: str) -> Ran:
@@ -114,7 +116,10 @@ def test_libraries_of_other_sources_are_not_used(installed: Path, encounters: Pa
         header = next((installed / library).parent.glob("*.h"))
         header.write_text(header.read_text() + "/* a newer one */\n")
 
-    automatic, demanded = _run(installed, "mapper", "run", encounters), _run(installed, "mapper", "run", encounters, BIOBOT_KERNELS="compiled")
+    automatic, demanded = (
+        _run(installed, "mapper", "run", encounters),
+        _run(installed, "mapper", "run", encounters, BIOBOT_KERNELS="compiled"),
+    )
     simulated = _run(installed, "simulator", "run", "--scenario", "two-obstacles", "--seed", 1, "--out", tmp_path / "out")
 
     assert automatic.returncode == 0

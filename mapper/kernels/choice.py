@@ -71,5 +71,7 @@ def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
         return CompiledKernels(load_library())
     except LibraryMissing as error:
         if asked == KernelsKind.COMPILED:
-            raise KernelsError(problem=f"no compiled kernels: {error}", next_step=f"{_INSTALL}, or leave the choice to the program") from error
+            raise KernelsError(
+                problem=f"no compiled kernels: {error}", next_step=f"{_INSTALL}, or leave the choice to the program"
+            ) from error
         return PlainKernels(reason=f"no compiled ones: {error}; {_INSTALL}")

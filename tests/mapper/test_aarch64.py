@@ -70,7 +70,9 @@ def _expect(graph: Contraction) -> dict[str, NDArray[np.generic]]:
     return expected | {f"rows.{name}": getattr(graph.rows, name) for name in ("starts", "neighbours", "times")}
 
 
-@pytest.mark.skipif(shutil.which(COMPILER) is None or shutil.which(EMULATOR) is None, reason=f"no {COMPILER} or {EMULATOR}: run make system-packages")
+@pytest.mark.skipif(
+    shutil.which(COMPILER) is None or shutil.which(EMULATOR) is None, reason=f"no {COMPILER} or {EMULATOR}: run make system-packages"
+)
 def test_the_kernels_give_the_same_bytes_on_aarch64(tmp_path: Path) -> None:
     sources = ROOT / hatch_build.KERNELS.parent
     program = tmp_path / "driver"
@@ -88,7 +90,10 @@ def test_the_kernels_give_the_same_bytes_on_aarch64(tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stderr
 
     graph = KERNELS[0].contract(
-        *(np.asarray(columns[name], dtype=np.int64) for name in ("centres", "id1", "id2")), still=still, commanded=commanded, moving_time=True
+        *(np.asarray(columns[name], dtype=np.int64) for name in ("centres", "id1", "id2")),
+        still=still,
+        commanded=commanded,
+        moving_time=True,
     )
 
     expected = _expect(graph)

@@ -24,7 +24,7 @@ Sightings = tuple[IntArray, IntArray, IntArray]
 
 @st.composite
 def sightings(draw: st.DrawFn) -> Sightings:
-    """Centres in no order, with ties, at times as far apart as there may be; biobots that fall into several crowds, with any number as id."""
+    """Centres in no order, with ties, at times as far apart as there may be; biobots in several crowds, with any number as id."""
     n = draw(st.integers(0, 40))
     last = draw(st.sampled_from([0, 3, 40, 2**52]))
     ids = draw(st.lists(st.integers(-(2**63), 2**63 - 1) | st.integers(1, 4), min_size=2, max_size=12, unique=True))
@@ -100,9 +100,7 @@ def test_maxmin_needs_neither_a_connected_graph_nor_enough_vertices(graph: Contr
     v = len(graph.component)
     candidates = np.array(data.draw(st.lists(st.booleans(), min_size=v, max_size=v)), dtype=bool)
     hubs = np.array(sorted(data.draw(st.sets(st.integers(0, v - 1), max_size=6)) if v else []), dtype=np.int64)
-    one, other = (
-        kernels.pick_along_graph(graph.rows, graph.links, candidates, hubs=hubs, n_points=n_points) for kernels in KERNELS
-    )
+    one, other = (kernels.pick_along_graph(graph.rows, graph.links, candidates, hubs=hubs, n_points=n_points) for kernels in KERNELS)
     _assert_same_picks(one, other)
     assert candidates[one.chosen].all()
 
