@@ -53,7 +53,6 @@ class Kernels(Protocol):
         """Pick maxmin rows of profiles, shape (c, l), l at least 1; see `mapper.subsampling`."""
 
 
-@cache
 def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
     """Return the kernels asked for, by argument or else by the environment; "auto" takes the compiled ones where they are.
 
@@ -62,7 +61,11 @@ def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
     KernelsError
         The choice is none of the three, or compiled kernels are asked for and not there.
     """
-    asked = os.environ.get(_VARIABLE, KernelsKind.AUTO) if choice is None else choice
+    return _choose(os.environ.get(_VARIABLE, KernelsKind.AUTO) if choice is None else choice)
+
+
+@cache
+def _choose(asked: str) -> Kernels:
     if asked not in set(KernelsKind):
         raise KernelsError(problem=f"{_VARIABLE} is {asked!r}", next_step=f"set it to {', '.join(KernelsKind)}, or not at all")
     if asked == KernelsKind.PLAIN:
