@@ -15,6 +15,7 @@ $(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh scripts/compi
 	sh scripts/compiler.sh
 	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable .
+	-$(PY) -m mapper warm-up --quiet
 	touch $(STAMP)
 
 demo: venv  ## insects walk, a gateway listens, a mapper draws; the map opens in a browser (ARGS="--exit --seed 7")
@@ -40,7 +41,7 @@ types: venv
 layers: venv
 	$(VENV)/bin/lint-imports
 
-system-packages:  ## install Chromium for the browser tests (Debian)
+system-packages:  ## install what some tests want: Chromium, a compiler and an emulator for ARM (Debian)
 	sh scripts/system_packages.sh
 
 train: venv  ## train the hole classifier anew on simulated arenas (hours; resumable)
@@ -58,6 +59,9 @@ bench-sim: venv  ## how fast the simulator is on one core, beside Mesa (minutes)
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)
 
+check-kernels: venv  ## the mapper's tests of kernels once more, under the address and undefined-behaviour sanitizers (a minute)
+	$(PY) scripts/check_kernels.py $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
@@ -68,4 +72,4 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) simulator/engine/*.so mapper/kernels/*.so build dist demo-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim campaign-walls lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim campaign-walls check-kernels lock docker-check clean

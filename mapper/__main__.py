@@ -1,4 +1,7 @@
-"""Command line of the mapper: ``run`` maps a file, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show."""
+"""Command line of the mapper.
+
+``run`` maps a file, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need.
+"""
 
 import argparse
 import json
@@ -52,8 +55,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         return serve(args)
     if args.command == "feasibility":
         return _foretell(args)
+    if args.command == "warm-up":
+        return _warm_up(args)
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, serve or feasibility"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, serve, feasibility or warm-up"], status=_EXIT_USAGE)
 
 
 def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
@@ -62,6 +67,7 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     config = load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
     # numpy and scipy take half a second: usage errors and --help do not wait for them.
     from mapper.encounter_csv import read_encounters, read_modes  # noqa: PLC0415
+    from mapper.kernels import choose_kernels  # noqa: PLC0415
     from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415
     from mapper.window import absent_biobots, stationary_spells  # noqa: PLC0415
 
@@ -72,7 +78,10 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     spells = read_modes(args.modes) if args.modes is not None else ()
     stationary = args.stationary or ()
     absent = absent_biobots(table, stationary)
-    result = compute_map(table, (*spells, *stationary_spells(table, stationary)), make_recipe(config.recipe))
+    kernels = choose_kernels()
+    if kernels.shortfall is not None:
+        print(f"biobot-mapper: warning: {kernels.shortfall}", file=sys.stderr)
+    result = compute_map(table, (*spells, *stationary_spells(table, stationary)), make_recipe(config.recipe), kernels=kernels)
     if absent:
         warning = f"stationary biobots {', '.join(map(str, absent))} are in no encounter"
         result = replace(result, warnings=(*result.warnings, warning))
@@ -94,6 +103,17 @@ def _foretell(args: argparse.Namespace) -> int:
         sys.stdout.write(to_json(document))
     else:
         _write(args.json, to_json(document).encode())
+    return 0
+
+
+def _warm_up(args: argparse.Namespace) -> int:
+    from mapper.warm_up import warm_up  # noqa: PLC0415  # see _run
+
+    warmth = warm_up()
+    if not args.quiet:
+        print(*warmth.lines(), sep="\n")
+    elif warmth.shortfall is not None:
+        print(f"biobot-mapper: warning: {warmth.shortfall}", file=sys.stderr)
     return 0
 
 
@@ -137,7 +157,7 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
     parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
-    commands = parser.add_subparsers(dest="command", metavar="{run,serve,feasibility}")
+    commands = parser.add_subparsers(dest="command", metavar="{run,serve,feasibility,warm-up}")
     run = commands.add_parser("run", help="make a map of a CSV file", description="Make a map of a CSV file of encounters.")
     _add_common(run, default=argparse.SUPPRESS)
     _add_run_arguments(run)
@@ -154,6 +174,10 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
         from mapper.feasibility_report import add_arguments as add_plan_arguments  # noqa: PLC0415  # see _run
 
         add_plan_arguments(feasibility)
+    about = "Make a map of a known ring: what a map needs is then there and cached, and is named."
+    warm = commands.add_parser("warm-up", help="see that all is there, so that the first map is quick", description=about)
+    _add_common(warm, default=argparse.SUPPRESS)
+    warm.add_argument("--quiet", action="store_true", help="say nothing unless something is wrong or slow")
     return parser
 
 

@@ -3,9 +3,12 @@
 MapError
 ├── InputFileError         a file of encounters or modes cannot be used; its faults are listed line by line
 ├── TooFewEncountersError  there is nothing to make a map of yet
+├── TooManyEncountersError the kernels cannot number so many encounters
 ├── UnknownBiobotError     a biobot was named that is in no encounter
 ├── OutputFileError        a result cannot be written where it was asked for
 ├── EngineMissingError     a library that this step needs is not installed
+├── KernelsError           the kernels that were asked for cannot be used
+├── SelfTestError          a map of a known place came out wrong
 ├── StoreError             the file of records cannot be opened, or is none of ours
 ├── BusError               Zenoh cannot be used as configured
 ├── QueryError             a query on the bus was not answered to its end
@@ -53,6 +56,15 @@ class TooFewEncountersError(MapError):
         self.minimum = minimum
 
 
+class TooManyEncountersError(MapError):
+    """More encounters than the kernels can number."""
+
+    def __init__(self, *, n_encounters: int, maximum: int) -> None:
+        super().__init__(f"{n_encounters} encounters, but a map can be made of at most {maximum}; map a window of time")
+        self.n_encounters = n_encounters
+        self.maximum = maximum
+
+
 class UnknownBiobotError(MapError):
     """None of the biobots named as stationary is in any encounter."""
 
@@ -85,6 +97,18 @@ class KernelsError(MapError):
     def __init__(self, *, problem: str, next_step: str) -> None:
         super().__init__(f"{problem}; {next_step}")
         self.problem = problem
+
+
+class SelfTestError(MapError):
+    """The map of a known place is wrong: something installed here does not work as it should."""
+
+    def __init__(self, *, found: tuple[int, int], wanted: tuple[int, int], parts: str) -> None:
+        super().__init__(
+            f"the map of a ring has Betti numbers {found}, not {wanted}, with {parts}; "
+            "install the package again, see whether BIOBOT_KERNELS=plain helps, and report it"
+        )
+        self.found = found
+        self.wanted = wanted
 
 
 class StoreError(MapError):

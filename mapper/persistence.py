@@ -1,6 +1,8 @@
 """Rips persistence of a subsample in dimensions 0 and 1. The one module that knows which engine computes it."""
 
 from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -18,6 +20,19 @@ class Diagram:
 
     intervals: tuple[FloatArray, FloatArray]
     birth_edges: IntArray
+
+
+def name_engine() -> str:
+    """Name the library that computes persistence, with its version; it is not loaded for that.
+
+    Raises
+    ------
+    EngineMissingError
+        GUDHI is not installed.
+    """
+    if find_spec("gudhi") is None:
+        raise _missing()
+    return f"gudhi {version('gudhi')}"
 
 
 def rips_persistence(distances: FloatArray) -> Diagram:
@@ -44,9 +59,7 @@ def rips_persistence(distances: FloatArray) -> Diagram:
     try:
         import gudhi  # noqa: PLC0415  # no wheel for every platform: the mapper must start without it
     except ImportError as error:
-        raise EngineMissingError(
-            library="gudhi", needed_for="persistence", next_step="pip install gudhi where a wheel exists (not on Linux aarch64)"
-        ) from error
+        raise _missing() from error
     radius = float(distances.max(axis=1).min())
     tree = gudhi.RipsComplex(distance_matrix=distances, max_edge_length=radius).create_simplex_tree(max_dimension=1)
     tree.collapse_edges()
@@ -66,3 +79,8 @@ def rips_persistence(distances: FloatArray) -> Diagram:
         intervals=(np.vstack([[[0.0, np.inf]], finite]), np.column_stack([births, deaths])[order]),
         birth_edges=edges[order],
     )
+
+
+def _missing() -> EngineMissingError:
+    next_step = "pip install gudhi where a wheel exists (not on Linux aarch64)"
+    return EngineMissingError(library="gudhi", needed_for="persistence", next_step=next_step)

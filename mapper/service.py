@@ -15,16 +15,18 @@ import uvicorn
 
 from mapper.api.app import create_app
 from mapper.api.event_stream import EventStream
-from mapper.api.services import Services
+from mapper.api.services import Engines, Services
 from mapper.bus import Bus
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
 from mapper.current_map import CurrentMap
-from mapper.errors import ListenError, MapError, OutputFileError
+from mapper.errors import EngineMissingError, ListenError, MapError, OutputFileError
 from mapper.fleet import Fleet
 from mapper.intake import Intake
+from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
+from mapper.persistence import name_engine
 from mapper.store_thread import StoreThread
 from mapper.types import Method, MetricKind
 
@@ -91,6 +93,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
     """Start address, store, bus, tasks, in this order; stop in reverse."""
     serve = config.serve
     stopping = asyncio.Event()
+    engines = _name_engines()
     async with contextlib.AsyncExitStack() as stack:
         listener = stack.enter_context(contextlib.closing(_listen(serve)))
         records = await StoreThread.open(Path(serve.store) if serve.store is not None else None)
@@ -119,6 +122,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
             is_connected=lambda: bus.is_connected,
             counters=counters,
             faults=faults,
+            engines=engines,
         )
         stream = EventStream(changes)
         server = _Server(_server_config(services, stream, serve))
@@ -152,6 +156,19 @@ class _Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
         self.is_up.set()
+
+
+def _name_engines() -> Engines:
+    """Name what computes the maps, and tell what is missing or slow before anybody waits for it."""
+    kernels = choose_kernels()
+    if kernels.shortfall is not None:
+        _log.warning("kernels.plain", reason=kernels.shortfall)
+    try:
+        persistence = name_engine()
+    except EngineMissingError as error:
+        _log.error("persistence.missing", reason=str(error))
+        persistence = None
+    return Engines(kernels=kernels.name, persistence=persistence)
 
 
 def _server_config(services: Services, stream: EventStream, serve: ServiceConfig) -> uvicorn.Config:

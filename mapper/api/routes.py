@@ -195,6 +195,7 @@ def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream
                 "waiting": None if latest else str(services.current_map.waiting_for),
                 "counters": services.counters(),
                 "faults": services.faults(),
+                "engines": {"kernels": services.engines.kernels, "persistence": services.engines.persistence},
             }
         )
 

@@ -244,6 +244,13 @@ class DiagramView(_Answer):
     n_encounters: int
 
 
+class EnginesView(_Answer):
+    """What computes the maps."""
+
+    kernels: Literal["compiled", "plain"] = Field(description="plain: there are no compiled ones here; the same maps, but later")
+    persistence: str | None = Field(description="Library and version; null: none is installed, so no map can be made")
+
+
 class HealthView(_Answer):
     """The process answers; counters since its start."""
 
@@ -254,6 +261,7 @@ class HealthView(_Answer):
     waiting: str | None = Field(description="What the first map is waiting for; null when there is one")
     counters: dict[str, int]
     faults: list[str]
+    engines: EnginesView
 
 
 class ReadyView(_Answer):

@@ -8,6 +8,15 @@ from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
 from mapper.fleet import Fleet
 from mapper.store_thread import StoreThread
+from mapper.types import KernelsKind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Engines:
+    """What computes the maps; ``persistence`` is None where no library for it is installed."""
+
+    kernels: KernelsKind
+    persistence: str | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,3 +31,4 @@ class Services:
     is_connected: Callable[[], bool]
     counters: Callable[[], Mapping[str, int]]
     faults: Callable[[], list[str]]
+    engines: Engines

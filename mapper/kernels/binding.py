@@ -1,6 +1,7 @@
 """The kernels' C interface as ctypes sees it: structures, functions, and the library that was built when the package was installed."""
 
 import ctypes
+import zlib
 from ctypes import POINTER, c_double, c_int, c_int32, c_int64, c_void_p
 from pathlib import Path
 
@@ -48,6 +49,7 @@ _FUNCTIONS = {
     "read_rows": (c_int64, (_Array, c_int64, _Array, c_int64, c_int64, _Array, _Array, _Array, _Array)),
     "count_lines": (c_int64, (_Array, c_int64)),
     "kernels_layout": (c_int64, ()),
+    "kernels_sources": (c_int64, ()),
 }
 
 
@@ -68,9 +70,17 @@ def load_library() -> ctypes.CDLL:
         for name, (result, arguments) in _FUNCTIONS.items():
             function = getattr(library, name)
             function.restype, function.argtypes = result, arguments
-        layout = int(library.kernels_layout())
+        layout, sources = int(library.kernels_layout()), int(library.kernels_sources())
     except (OSError, AttributeError) as error:
         raise LibraryMissing(str(error)) from error
-    if layout != 1000 * ctypes.sizeof(Graph) + SPELL.itemsize:
-        raise LibraryMissing("it was built from other sources")
+    if layout != 1000 * ctypes.sizeof(Graph) + SPELL.itemsize or sources != _sum_sources():
+        raise LibraryMissing(f"{LIBRARY} was built from other sources than are installed")
     return library
+
+
+def _sum_sources() -> int:
+    """Return the CRC-32 of the C sources as they are installed, as hatch_build.py does; an upgrade may have left an old library."""
+    total = 0
+    for path in sorted((*LIBRARY.parent.glob("*.c"), *LIBRARY.parent.glob("*.h"))):
+        total = zlib.crc32(path.read_bytes(), total)
+    return total

@@ -13,6 +13,7 @@ from mapper.kernels.plain import PlainKernels
 from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNorm
 
 _VARIABLE = "BIOBOT_KERNELS"
+_INSTALL = "install gcc and libc6-dev and install the package again"
 
 
 class Kernels(Protocol):
@@ -21,6 +22,10 @@ class Kernels(Protocol):
     @property
     def name(self) -> KernelsKind:
         """Which implementation this is."""
+
+    @property
+    def shortfall(self) -> str | None:
+        """Why it is the slow one, and what to do about it; None where it is not."""
 
     def contract(
         self, centres: IntArray, id1: IntArray, id2: IntArray, *, still: Stands, commanded: Stands, moving_time: bool
@@ -37,16 +42,18 @@ class Kernels(Protocol):
         """Sum the times from an encounter of each vertex to the k encounters nearest to it [ticks], shape (v,); see `mapper.outliers`."""
 
     def pick_along_graph(self, rows: Rows, links: Links, candidates: BoolArray, *, hubs: IntArray, n_points: int) -> Picks:
-        """Pick maxmin vertices of a connected graph by shortest-path time; see `mapper.subsampling`. ``hubs`` are on many paths."""
+        """Pick maxmin vertices of a connected graph by shortest-path time; see `mapper.subsampling`. ``hubs`` are on many paths.
+
+        The graph need not be connected; of no candidates none is picked, with a cover radius of 0; the same holds of `pick_profiles`.
+        """
 
     def bracket(self, times: FloatArray, references: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return middle (v, l) and doubt (v,) of bounds on profiles; see `mapper.profiles`. ``times`` may be overwritten."""
 
     def pick_profiles(self, profiles: FloatArray, *, norm: ProfileNorm, n_points: int) -> Picks:
-        """Pick maxmin rows of profiles, shape (c, l), c at least 1; see `mapper.subsampling`."""
+        """Pick maxmin rows of profiles, shape (c, l), l at least 1; see `mapper.subsampling`."""
 
 
-@cache
 def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
     """Return the kernels asked for, by argument or else by the environment; "auto" takes the compiled ones where they are.
 
@@ -55,18 +62,23 @@ def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
     KernelsError
         The choice is none of the three, or compiled kernels are asked for and not there.
     """
-    asked = os.environ.get(_VARIABLE, KernelsKind.AUTO) if choice is None else choice
+    return _choose(os.environ.get(_VARIABLE, KernelsKind.AUTO) if choice is None else choice)
+
+
+@cache
+def _choose(asked: str) -> Kernels:
     if asked not in set(KernelsKind):
         raise KernelsError(problem=f"{_VARIABLE} is {asked!r}", next_step=f"set it to {', '.join(KernelsKind)}, or not at all")
     if asked == KernelsKind.PLAIN:
-        return PlainKernels()
+        return PlainKernels(reason=f"they were asked for; set {_VARIABLE} to {KernelsKind.AUTO} for the compiled ones")
     try:
         return CompiledKernels(load_library())
     except LibraryMissing as error:
         if asked == KernelsKind.COMPILED:
-            next_step = "install gcc and libc6-dev and install the package again, or leave the choice to the program"
-            raise KernelsError(problem=f"no compiled kernels: {error}", next_step=next_step) from error
-        return PlainKernels()
+            raise KernelsError(
+                problem=f"no compiled kernels: {error}", next_step=f"{_INSTALL}, or leave the choice to the program"
+            ) from error
+        return PlainKernels(reason=f"no compiled ones: {error}; {_INSTALL}")
 
 
 def find_library(choice: KernelsKind | None = None) -> ctypes.CDLL | None:

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mapper.errors import TooManyEncountersError
 from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
 from mapper.kernels.binding import SPELL, Graph
 from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNorm
@@ -16,6 +17,8 @@ from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNo
 _NORM_NUMBERS: Final = {ProfileNorm.MAX: 0, ProfileNorm.RMS: 1}
 # Fewer rows are not worth a second thread.
 _ROWS_OF_A_THREAD: Final = 20_000
+# So that twice as many, the biobots there may be, are still numbered in 32 bits when their table has doubled.
+_MAX_ENCOUNTERS: Final = 2**29 - 1
 # Sources measured together where there are many: their rows fill whole vectors.
 _LANES: Final = 32
 
@@ -24,6 +27,7 @@ class CompiledKernels:
     """See `mapper.kernels.Kernels`."""
 
     name: Final = KernelsKind.COMPILED
+    shortfall: Final = None
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
@@ -38,6 +42,8 @@ class CompiledKernels:
     ) -> Contraction:
         """See `Kernels.contract`."""
         n = len(centres)
+        if n > _MAX_ENCOUNTERS:
+            raise TooManyEncountersError(n_encounters=n, maximum=_MAX_ENCOUNTERS)
         # Upper bounds: pages that are not written to cost nothing.
         first, multiplicity, component, vertex_of = (np.empty(n, dtype=np.int32) for _ in range(4))
         is_landmark = np.empty(n, dtype=np.bool_)

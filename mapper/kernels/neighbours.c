@@ -251,6 +251,7 @@ KERNEL int32_t pick_maxmin(const int64_t *row_start, const int32_t *neighbour, c
     }
     int32_t first = 0;
     while (first < n_vertices && !is_candidate[first]) first++;
+    *cover_radius = 0;
     if (first < n_vertices) n_picks = pick_all(&f, is_candidate, first, n_points, is_pruned, heap, picks, distances, cover_radius);
   }
   free(f.is_hub);

@@ -14,9 +14,12 @@ _ROWS_AT_ONCE: Final = 4096
 
 
 class PlainKernels:
-    """See `mapper.kernels.Kernels`."""
+    """See `mapper.kernels.Kernels`; ``reason`` says why these are used, and what to do."""
 
     name: Final = KernelsKind.PLAIN
+
+    def __init__(self, *, reason: str) -> None:
+        self.shortfall: Final = f"plain kernels, 7 to 50 times slower than compiled ones: {reason}"
 
     def contract(
         self, centres: IntArray, id1: IntArray, id2: IntArray, *, still: Stands, commanded: Stands, moving_time: bool
@@ -107,15 +110,16 @@ class PlainKernels:
         picked: list[int] = []
         distances = np.zeros((n_points, n_points))
         nearest = np.full(len(eligible), np.inf)
-        choice = 0
-        while len(picked) < n_points and nearest[choice] > 0:
+        choice, radius = 0, float(nearest.max(initial=0.0))
+        while len(picked) < n_points and radius > 0:
             row = _search(rows, eligible[choice : choice + 1])[0]
             distances[len(picked), : len(picked)] = distances[: len(picked), len(picked)] = row[picked]
             picked.append(int(eligible[choice]))
             np.minimum(nearest, row[eligible], out=nearest)
             choice = int(nearest.argmax())
+            radius = float(nearest[choice])
         m = len(picked)
-        return Picks(chosen=np.array(picked, dtype=np.int64), distances=distances[:m, :m].copy(), cover_radius=float(nearest.max()))
+        return Picks(chosen=np.array(picked, dtype=np.int64), distances=distances[:m, :m].copy(), cover_radius=radius)
 
     def bracket(self, times: FloatArray, references: IntArray) -> tuple[FloatArray, FloatArray]:
         """See `Kernels.bracket`."""
@@ -140,15 +144,16 @@ class PlainKernels:
         picked: list[int] = []
         distances = np.zeros((n_points, n_points))
         nearest = np.full(len(profiles), np.inf)
-        choice = 0
-        while len(picked) < n_points and nearest[choice] > 0:
+        choice, radius = 0, float(nearest.max(initial=0.0))
+        while len(picked) < n_points and radius > 0:
             row = compare_profiles(columns, choice, norm=norm)
             distances[len(picked), : len(picked)] = distances[: len(picked), len(picked)] = row[picked]
             picked.append(choice)
             np.minimum(nearest, row, out=nearest)
             choice = int(nearest.argmax())
+            radius = float(nearest[choice])
         m = len(picked)
-        return Picks(chosen=np.array(picked, dtype=np.int64), distances=distances[:m, :m].copy(), cover_radius=float(nearest.max()))
+        return Picks(chosen=np.array(picked, dtype=np.int64), distances=distances[:m, :m].copy(), cover_radius=radius)
 
 
 def compare_profiles(columns: FloatArray, row: int, *, norm: ProfileNorm) -> FloatArray:

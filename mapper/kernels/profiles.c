@@ -94,16 +94,16 @@ static double compare(const double *a, const double *b, int32_t n, int32_t norm)
 /* Pick up to n_points rows, each the furthest from those before it, beginning with the first; ties go to the earlier.
 
    A row nearer to its pick than half the way from there to a new pick is not measured: the triangle inequality says that the new one is no
-   nearer. Returns how many were picked, or a negative number. */
+   nearer. Returns how many were picked (none of no rows, with radius 0), or a negative number. */
 KERNEL int32_t pick_profiles(const double *profiles, int64_t n_rows, int32_t n_places, int32_t norm, int32_t n_points, int64_t *picks,
                              double *distances, double *cover_radius) {
-  double *nearest = malloc((size_t)n_rows * sizeof *nearest), *apart = malloc((size_t)n_points * sizeof *apart);
-  int32_t *owner = malloc((size_t)n_rows * sizeof *owner);
+  double *nearest = malloc(((size_t)n_rows + 1) * sizeof *nearest), *apart = malloc(((size_t)n_points + 1) * sizeof *apart);
+  int32_t *owner = malloc(((size_t)n_rows + 1) * sizeof *owner);
   int32_t n_picks = nearest && owner && apart ? 0 : NO_MEMORY;
   /* Beyond all rounding of a distance. */
   const double twice = 2 * (1 + 1e-9);
   int64_t furthest = 0;
-  double radius = INFINITY;
+  double radius = n_rows > 0 ? INFINITY : 0;
   for (int64_t i = 0; n_picks == 0 && i < n_rows; i++) {
     nearest[i] = INFINITY;
     owner[i] = 0;

@@ -1,6 +1,7 @@
 """The engine's C interface as ctypes sees it: structures, functions, and the library that was built when the package was installed."""
 
 import ctypes
+import zlib
 from ctypes import POINTER, c_double, c_int32, c_int64, c_uint64, c_void_p
 from pathlib import Path
 
@@ -75,6 +76,7 @@ _FUNCTIONS = {
     "engine_save": (c_int64, (c_void_p, c_void_p, c_int64)),
     "engine_load": (c_void_p, (c_void_p, c_int64)),
     "engine_layout": (c_int64, ()),
+    "engine_sources": (c_int64, ()),
 }
 
 
@@ -91,9 +93,17 @@ def load_library() -> ctypes.CDLL:
         for name, (result, arguments) in _FUNCTIONS.items():
             function = getattr(library, name)
             function.restype, function.argtypes = result, arguments
-        layout = int(library.engine_layout())
+        layout, sources = int(library.engine_layout()), int(library.engine_sources())
     except (OSError, AttributeError) as error:
         raise EngineMissingError(path=LIBRARY, problem=str(error)) from error
-    if layout != 10_000 * ctypes.sizeof(EngineConfig) + 100 * EVENT.itemsize + LEG.itemsize:
-        raise EngineMissingError(path=LIBRARY, problem="it was built from other sources")
+    if layout != 10_000 * ctypes.sizeof(EngineConfig) + 100 * EVENT.itemsize + LEG.itemsize or sources != _sum_sources():
+        raise EngineMissingError(path=LIBRARY, problem="it was built from other sources than are installed")
     return library
+
+
+def _sum_sources() -> int:
+    """Return the CRC-32 of the C sources as they are installed, as hatch_build.py does; an upgrade may have left an old library."""
+    total = 0
+    for path in sorted((*LIBRARY.parent.glob("*.c"), *LIBRARY.parent.glob("*.h"))):
+        total = zlib.crc32(path.read_bytes(), total)
+    return total

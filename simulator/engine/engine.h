@@ -65,6 +65,7 @@ int64_t engine_steps(const engine *e);
 int64_t engine_save(const engine *e, uint8_t *place, int64_t room);
 engine *engine_load(const uint8_t *place, int64_t size);
 int64_t engine_layout(void);
+int64_t engine_sources(void);
 int32_t engine_count(const engine *e);
 
 #pragma GCC visibility pop

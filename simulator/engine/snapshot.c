@@ -45,6 +45,9 @@ static const uint64_t MARK = 0x62696f626f740002u; /* a word that also tells the 
 /* Sizes of what crosses the border, for binding.py to compare with its own. */
 int64_t engine_layout(void) { return (int64_t)(10000 * sizeof(engine_config) + 100 * sizeof(engine_event) + sizeof(engine_leg)); }
 
+/* The CRC-32 of the sources, given by the build. */
+int64_t engine_sources(void) { return SOURCES; }
+
 static int pass_all(tape *tape, engine *e) {
     uint64_t mark = MARK;
     int64_t inside = (int64_t)(1000 * sizeof(insect) + sizeof(pair_event)), layout = 1000000 * engine_layout() + inside, wanted = layout;

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
-from mapper.api.services import Services
+from mapper.api.services import Engines, Services
 from mapper.bus import Bus
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
@@ -13,6 +13,8 @@ from mapper.config import RecipeConfig, make_recipe
 from mapper.current_map import CurrentMap
 from mapper.fleet import Fleet
 from mapper.intake import Intake
+from mapper.kernels import choose_kernels
+from mapper.persistence import name_engine
 from mapper.store import Store
 from mapper.store_thread import StoreThread
 from tests.mapper.fake_gateway import SITE
@@ -48,6 +50,7 @@ class Side:
             is_connected=lambda: self.bus.is_connected,
             counters=lambda: self.intake.counters,
             faults=list,
+            engines=Engines(kernels=choose_kernels().name, persistence=name_engine()),
         )
 
     async def until(self, is_met: Callable[[Store], bool]) -> None:

@@ -303,8 +303,16 @@ def test_the_page_refers_to_nothing_outside_and_to_nothing_missing() -> None:
 
 
 def test_every_error_of_the_mapper_that_can_reach_the_web_has_a_status() -> None:
-    offline = {"InputFileError", "UnknownBiobotError", "OutputFileError", "EngineMissingError", "TooFewEncountersError", "BusError"}
-    offline |= {"QueryError", "ListenError", "KernelsError", "MapError"}
+    offline = {
+        "InputFileError",
+        "UnknownBiobotError",
+        "OutputFileError",
+        "EngineMissingError",
+        "TooFewEncountersError",
+        "TooManyEncountersError",
+        "BusError",
+    }
+    offline |= {"QueryError", "ListenError", "KernelsError", "SelfTestError", "MapError"}
     leaves = {name for name, value in vars(errors).items() if isinstance(value, type) and issubclass(value, errors.MapError)}
     assert leaves - offline == {error.__name__ for error in STATUS_OF}
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from mapper.__main__ import main
+from mapper.persistence import name_engine
 from tests.mapper.worlds import NS, walk_track
 
 HEADER = "t_start_s,t_end_s,id1,id2\n"
@@ -127,6 +129,32 @@ def test_without_the_persistence_engine_the_message_says_what_to_do(ring: Path) 
     assert done.stderr.startswith("biobot-mapper: error: gudhi is not installed, but persistence needs it; pip install")
 
 
+def test_warm_up_makes_a_map_of_a_known_place_and_names_what_makes_it() -> None:
+    done = _run("warm-up", environment={"BIOBOT_KERNELS": "compiled"})
+    assert (done.returncode, done.stderr) == (0, "")
+    said = dict(line.split(maxsplit=1) for line in done.stdout.splitlines())
+    assert list(said) == ["kernels", "persistence", "start-up", "picture", "serve"]
+    assert said["kernels"] == "compiled"
+    assert said["persistence"] == name_engine()
+    assert re.fullmatch(r"\d+\.\d\d s to import, \d+\.\d\d s for the first map, of 240 encounters", said["start-up"])
+
+
+def test_warm_up_is_quiet_where_all_is_well_and_tells_of_slow_kernels_where_not() -> None:
+    fast, slow = (_run("warm-up", "--quiet", environment={"BIOBOT_KERNELS": kind}) for kind in ("compiled", "plain"))
+    assert (fast.returncode, fast.stdout, fast.stderr) == (0, "", "")
+    assert (slow.returncode, slow.stdout) == (0, "")
+    assert slow.stderr.startswith("biobot-mapper: warning: plain kernels, 7 to 50 times slower than compiled ones: they were asked for")
+
+
+@pytest.mark.parametrize("library", ["gudhi", "scipy", "matplotlib"])
+def test_warm_up_fails_where_a_library_is_missing(library: str) -> None:
+    code = f"import sys; sys.modules[{library!r}] = None; from mapper.__main__ import main; sys.exit(main(['warm-up']))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith(f"biobot-mapper: error: {library} is not installed, but ")
+    assert "pip install" in done.stderr
+
+
 def test_directories_and_missing_files_are_refused(ring: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     encounters = str(ring / "encounters.csv")
     assert main(["run", str(tmp_path)]) == 1
@@ -185,7 +213,7 @@ def test_bad_usage_ends_with_status_two(arguments: list[str], capsys: pytest.Cap
     assert "error: " in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["--version"], ["run", "--version"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["--version"], ["run", "--version"], ["warm-up", "--help"]])
 def test_help_and_version_fit_one_screen(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         main(arguments)

@@ -14,6 +14,7 @@ import pytest
 
 from firmware_protocol.contract.records import EncounterRecord
 from mapper.__main__ import main
+from mapper.persistence import name_engine
 from tests.mapper.fake_gateway import FakeGateway, encounter, free_port
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import STOP_S, serving
@@ -75,6 +76,27 @@ def test_killed_and_started_again_it_has_every_record_once_and_makes_the_map_ane
             assert get(url + "api/v1/map")["betti_numbers"] == [1, 1]
             # The first life's records were read from the file, not asked for again.
             assert get(url + "healthz")["counters"]["new"] < len(records)
+
+
+def test_slow_kernels_are_told_once_and_named_by_the_health(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BIOBOT_KERNELS", "plain")
+    with serving(tmp_path, connect=free_port()) as (url, _process):
+        engines = get(url + "healthz")["engines"]
+    assert engines == {"kernels": "plain", "persistence": name_engine()}
+    events = [json.loads(line) for line in (tmp_path / "mapper.log").read_text().splitlines() if line.startswith("{")]
+    (told,) = [event for event in events if event["event"] == "kernels.plain"]
+    assert told["level"] == "WARNING"
+    assert "BIOBOT_KERNELS" in told["reason"]
+
+
+def test_kernels_that_are_demanded_and_unknown_are_refused_before_anything_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_logging: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("BIOBOT_KERNELS", "fast")
+    store = tmp_path / "records.db"
+    assert main(["serve", "--store", str(store), "--port", "0"]) == 1
+    assert "BIOBOT_KERNELS is 'fast'; set it to auto, compiled, plain, or not at all" in capsys.readouterr().err
+    assert not store.exists()
 
 
 def test_event_streams_tell_of_changes_and_do_not_hold_up_the_stop(tmp_path: Path) -> None:
