@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
 from mapper.errors import UnknownBiobotError
-from mapper.types import EncounterTable, ModeSpell, read_only
+from mapper.types import EncounterTable, IntArray, ModeSpell, read_only
 
 # A centre in half nanoseconds must fit 63 bits.
 _MAX_SPAN_NS = 2**62 - 1
@@ -45,6 +45,40 @@ def make_encounter_table(*, t_start_ns: ArrayLike, t_end_ns: ArrayLike, id1: Arr
         id2=read_only(high[order]),
         source_row=read_only(order.astype(np.int64)),
     )
+
+
+def window_begin(table: EncounterTable, *, window_ns: int | None, since_ns: int | None) -> int | None:
+    """Say from when encounters count: since ``since_ns``, and no longer than ``window_ns`` before the end of the newest; None: from ever."""
+    if window_ns is None or len(table) == 0:
+        return since_ns
+    begin = int(table.t_end_ns.max()) - window_ns
+    return begin if since_ns is None else max(begin, since_ns)
+
+
+def clip_table(table: EncounterTable, *, since_ns: int | None = None, until_ns: int | None = None) -> EncounterTable:
+    """Leave out what was over at ``since_ns`` or had not begun at ``until_ns``, and cut what was under way then.
+
+    Notes
+    -----
+    Order, ties too, is as in a table made of the clipped encounters. What lies between is not sorted again; without ``until_ns`` it is not
+    even copied where nothing was under way at ``since_ns``.
+    """
+    columns: tuple[IntArray, ...] = (table.t_start_ns, table.t_end_ns, table.id1, table.id2, table.source_row)
+    if until_ns is not None:
+        n = int(np.searchsorted(table.t_start_ns, until_ns, side="left"))
+        start, end, id1, id2, row = (column[:n] for column in columns)
+        end = np.minimum(end, until_ns)
+        order = np.lexsort((row, id2, id1, end, start))
+        columns = (start[order], end[order], id1[order], id2[order], row[order])
+    if since_ns is not None:
+        n = int(np.searchsorted(columns[0], since_ns, side="right"))
+        _, end, id1, id2, row = (column[:n][columns[1][:n] > since_ns] for column in columns)
+        order = np.lexsort((row, id2, id1, end))
+        begun = (np.full(len(end), since_ns), end[order], id1[order], id2[order], row[order])
+        rest = tuple(column[n:] for column in columns)
+        columns = tuple(np.concatenate([cut, whole]) for cut, whole in zip(begun, rest, strict=True)) if len(end) else rest
+    start, end, id1, id2, row = (read_only(column) for column in columns)
+    return EncounterTable(t_start_ns=start, t_end_ns=end, id1=id1, id2=id2, source_row=row)
 
 
 def stationary_spells(table: EncounterTable, ids: Sequence[int]) -> tuple[ModeSpell, ...]:
