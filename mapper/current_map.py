@@ -28,8 +28,8 @@ _KEEP_PERIOD_S: Final = 30.0
 class MapStatus:
     """How the newest finished map stands to the records that have come.
 
-    ``n_waiting`` records, each revision counted as one, have come since it was begun, and ``behind_s`` ago it was; 0 where nothing waits. So
-    no record that it lacks came earlier. ``is_computing``: another one is being made.
+    ``n_waiting`` records, each revision counted as one, have come since it was begun, ``behind_s`` ago (0 where nothing waits): no record
+    that it lacks came earlier. ``is_computing``: another one is being made.
     """
 
     snapshot: MapSnapshot | None

@@ -32,9 +32,9 @@ class EncounterSet:
             return
         self._drop(rows.row)
         self._highest_row = max(self._highest_row, int(rows.row.max()))
-        fresh = np.stack(
-            [rows.t_start_ns, rows.t_end_ns, np.minimum(rows.id1, rows.id2), np.maximum(rows.id1, rows.id2), rows.row]
-        )[:, rows.counts]
+        fresh = np.stack([rows.t_start_ns, rows.t_end_ns, np.minimum(rows.id1, rows.id2), np.maximum(rows.id1, rows.id2), rows.row])[
+            :, rows.counts
+        ]
         if fresh.shape[1]:
             self._merge(fresh[:, _canonical_order(fresh)])
 

@@ -35,6 +35,6 @@ def _encode_array(value: object) -> tuple[str, tuple[int, ...], bytes]:
     return little.dtype.str, value.shape, little.tobytes()
 
 
-def _decode_array(_kind: type, value: Any) -> Any:  # noqa: ANN401  # msgspec's hook: whatever was decoded so far
+def _decode_array(_kind: type, value: Any) -> Any:  # msgspec's hook: whatever was decoded so far
     name, shape, content = value
     return np.frombuffer(content, dtype=_ARRAYS[name]).reshape(shape)

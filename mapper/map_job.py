@@ -45,8 +45,8 @@ class TooFew:
 class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
     """A finished map: two JSON objects, the result for pictures as `encode_map` writes it, and what stands behind it.
 
-    The map is of ``n_encounters``, the last of which ended at ``last_encounter_ns`` [wall clock]; ``n_before`` were over at ``since_ns``, the
-    moment the landmarks were set or the beginning of the window, whichever is later; None where there is neither.
+    The map is of ``n_encounters``, the last of which ended at ``last_encounter_ns`` [wall clock]; ``n_before`` were over at ``since_ns``:
+    when the landmarks were set or the window begins, whichever is later; None where there is neither.
     """
 
     map_json: bytes

@@ -125,6 +125,7 @@ class Store:
 
     def __init__(self, path: Path | None) -> None:
         self._path = store_name(path)
+        self._progress = StoreProgress(n_encounters=0, change=0)
         self._db = open_store_file(path)
         try:
             self._load()

@@ -48,7 +48,7 @@ def make_encounter_table(*, t_start_ns: ArrayLike, t_end_ns: ArrayLike, id1: Arr
 
 
 def window_begin(table: EncounterTable, *, window_ns: int | None, since_ns: int | None) -> int | None:
-    """Say from when encounters count: since ``since_ns``, and no longer than ``window_ns`` before the end of the newest; None: from ever."""
+    """Say from when encounters count: from ``since_ns`` on, and from ``window_ns`` before the end of the newest on; None: all do."""
     if window_ns is None or len(table) == 0:
         return since_ns
     begin = int(table.t_end_ns.max()) - window_ns
