@@ -22,7 +22,7 @@ def decode_map(data: bytes) -> MapResult:
 
     Raises
     ------
-    msgspec.ValidationError
+    msgspec.DecodeError
         ``data`` is something else.
     """
     return msgspec.msgpack.decode(data, type=MapResult, dec_hook=_decode_array)
@@ -37,4 +37,6 @@ def _encode_array(value: object) -> tuple[str, tuple[int, ...], bytes]:
 
 def _decode_array(_kind: type, value: Any) -> Any:  # msgspec's hook: whatever was decoded so far
     name, shape, content = value
+    if name not in _ARRAYS:
+        raise ValueError(f"an array of {name!r}; wanted one of {', '.join(_ARRAYS)}")
     return np.frombuffer(content, dtype=_ARRAYS[name]).reshape(shape)
