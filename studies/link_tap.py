@@ -68,7 +68,11 @@ class LinkTap:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         line = _Line()
-        from_dongle, to_dongle = await asyncio.open_connection(*self._dongle)
+        try:
+            from_dongle, to_dongle = await asyncio.open_connection(*self._dongle)
+        except OSError:
+            writer.close()  # the dongle is gone; the gateway sees a line that ends at once, and tries again
+            return
         try:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._pass_on(from_dongle, writer, line, is_up=True))
