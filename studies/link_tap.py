@@ -86,8 +86,8 @@ class LinkTap:
     async def _pass_on(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, line: _Line, *, is_up: bool) -> None:
         decoder = CobsDecoder()
         while chunk := await reader.read(_CHUNK):
-            writer.write(chunk)
             now = time.monotonic()
+            writer.write(chunk)
             for body in decoder.feed(chunk):
                 if isinstance(body, bytes) and len(body) >= _HEADER.size:
                     self._note(line, *_HEADER.unpack_from(body), now=now, is_up=is_up)
