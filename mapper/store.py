@@ -261,8 +261,17 @@ class Store:
             self._db.execute("INSERT OR REPLACE INTO finished_map (id, made_by, change, document) VALUES (1, ?, ?, ?)", values)
 
     def kept_map(self, *, made_by: str) -> KeptMap | None:
-        """Return the map that was kept; None where there is none, or another recipe or program made it."""
-        row = self._db.execute("SELECT change, document FROM finished_map WHERE made_by = ?", (made_by,)).fetchone()
+        """Return the map that was kept; None where there is none, or another recipe or program made it.
+
+        Raises
+        ------
+        StoreError
+            The file cannot be read.
+        """
+        try:
+            row = self._db.execute("SELECT change, document FROM finished_map WHERE made_by = ?", (made_by,)).fetchone()
+        except sqlite3.Error as error:
+            raise translate(error, path=self._path) from error
         return None if row is None else KeptMap(made_by=made_by, change=row[0], document=row[1])
 
     @contextmanager

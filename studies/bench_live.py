@@ -28,7 +28,7 @@ from mapper.store import Store
 from studies.link_tap import LinkTap
 from studies.live_feeder import NAME as FEEDER
 from studies.live_life import Life, fill_store
-from studies.live_watch import Watch, core_time, peak_memory, share
+from studies.live_watch import Watch, core_times, peak_memory, share
 from studies.system import PartFailedError, free_port
 
 _SWARM: Final = "gateway1"
@@ -147,11 +147,11 @@ def _measure(options: argparse.Namespace, out: Path) -> dict[str, Any]:
         pid, url = parts.pids["mapper"], (out / "url").read_text().strip().rstrip("/")
         _say(f"publishing {options.rate:,.0f} encounters a second for {options.seconds:g} s")
         parts.wait(lambda: _get(url + _HEALTH)["counters"].get("new", 0) > options.rate, what="records of the feeder")
-        begun, used = time.monotonic(), core_time(pid)
+        begun, before = time.monotonic(), core_times(pid)
         with Watch(url, periods_s=_PERIODS_S) as watch:
             parts.wait((out / "done").exists, what="the feeder's end", timeout_s=4 * options.seconds + 60)
             seconds = time.monotonic() - begun
-            facts["cores_of_mapper"] = (core_time(pid) - used) / seconds
+            serving_s, computing_s = (now - then for now, then in zip(core_times(pid), before, strict=True))
         facts["acknowledged_under_load"] = _describe(tap.waits_between(begun, begun + seconds), seconds=seconds)
         facts["behind_s"] = {"max": max(watch.behind_s), "p95": share(watch.behind_s, 0.95), "p50": share(watch.behind_s, 0.5)}
         facts["maps"] = {
@@ -159,6 +159,7 @@ def _measure(options: argparse.Namespace, out: Path) -> dict[str, Any]:
             "computing_p50_s": share(watch.computing_s, 0.5),
             "computing_max_s": max(watch.computing_s),
         }
+        facts["core_s"] = {"serving_per_s": serving_s / seconds, "computing_per_map": computing_s / len(watch.versions)}
         facts["api"] = {path: _describe(waits, seconds=seconds) for path, waits in watch.latency_s.items()} | {"failed": watch.n_failed}
         facts["load_during"] = os.getloadavg()[0]
         facts["peak_memory_mb"] = {name: [round(peak / 2**20) for peak in peak_memory(one).values()] for name, one in parts.pids.items()}
@@ -259,7 +260,7 @@ def _report(facts: dict[str, Any], options: argparse.Namespace) -> str:
         return f"| {name} | {one['per_s']:.1f} | {one['p50_ms']:.1f} | {one['p99_ms']:.1f} | {one['max_ms']:.1f} |"
 
     behind, maps, memory = facts["behind_s"], facts["maps"], facts["peak_memory_mb"]
-    api = facts["api"]
+    api, core = facts["api"], facts["core_s"]
     lines = [
         f"# Live: {options.rate:,.0f} encounters/s into a store of {facts['encounters']:,}, method {facts['method']}",
         "",
@@ -267,7 +268,7 @@ def _report(facts: dict[str, Any], options: argparse.Namespace) -> str:
         "",
         f"- age of the served map: {behind['max']:.2f} s at most, p95 {behind['p95']:.2f} s, median {behind['p50']:.2f} s",
         f"- {maps['n']} maps; computing {maps['computing_p50_s']:.2f} s, at most {maps['computing_max_s']:.2f} s",
-        f"- the mapper used {facts['cores_of_mapper']:.2f} cores",
+        f"- time of a core: {core['computing_per_map']:.2f} s for a map, {core['serving_per_s']:.2f} s a second for store, bus and API",
         f"- records lost: {facts['lost']} of {facts['published']:,}; API answers failed: {api['failed']}",
         f"- first map of a store without one {facts['first_map_s']:.2f} s after the process began; of one with {facts['restart_s']:.2f} s",
         f"- first map after SIGKILL {facts['restart_after_kill_s']:.2f} s after the process began",

@@ -78,13 +78,13 @@ def peak_memory(pid: int) -> dict[str, int]:
     return peaks
 
 
-def core_time(pid: int) -> float:
-    """Return the time of cores [s] that a process and its running children have used; needs /proc."""
-    total = 0
+def core_times(pid: int) -> tuple[float, float]:
+    """Return the time of cores [s] that a process has used, and that of its running children; needs /proc."""
+    ticks = []
     for one in (pid, *_children(pid)):
         fields = Path(f"/proc/{one}/stat").read_text().rpartition(")")[2].split()
-        total += int(fields[11]) + int(fields[12])
-    return total / os.sysconf("SC_CLK_TCK")
+        ticks.append(int(fields[11]) + int(fields[12]))
+    return ticks[0] / os.sysconf("SC_CLK_TCK"), sum(ticks[1:]) / os.sysconf("SC_CLK_TCK")
 
 
 def share(values: list[float], q: float) -> float:
