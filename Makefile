@@ -56,6 +56,9 @@ theory: venv  ## compare motion, meetings and walls with theory, and encounters 
 bench-sim: venv  ## how fast the simulator is on one core, beside Mesa (minutes)
 	$(PY) -m studies.bench_sim $(ARGS)
 
+bench-live: venv  ## 2,000 encounters/s into a store of 500,000: age of the map, the API, the gateway, losses, restart (minutes)
+	$(PY) -m studies.bench_live $(ARGS)
+
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)
 
@@ -70,6 +73,6 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) simulator/engine/*.so mapper/kernels/*.so build dist demo-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) simulator/engine/*.so mapper/kernels/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim campaign-walls check-kernels lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-live campaign-walls check-kernels lock docker-check clean

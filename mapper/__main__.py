@@ -7,7 +7,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -69,12 +69,15 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     from mapper.encounter_csv import read_encounters, read_modes  # noqa: PLC0415
     from mapper.kernels import choose_kernels  # noqa: PLC0415
     from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415
+    from mapper.time_limits import make_limits  # noqa: PLC0415
     from mapper.window import absent_biobots, stationary_spells  # noqa: PLC0415
 
     _refuse_to_overwrite(args)
-    table = read_encounters(args.encounters)
+    limits = make_limits(window_s=args.window_s, from_s=args.from_s, until_s=args.until_s)
+    table, facts = limits.clip(read_encounters(args.encounters))
     if len(table) < MIN_ENCOUNTERS:
-        raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=str(args.encounters))
+        n_outside = int(facts["n_before"] or 0) + int(facts["n_after"] or 0)
+        raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=str(args.encounters), n_outside=n_outside)
     spells = read_modes(args.modes) if args.modes is not None else ()
     stationary = args.stationary or ()
     absent = absent_biobots(table, stationary)
@@ -87,7 +90,7 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         result = replace(result, warnings=(*result.warnings, warning))
     for warning in result.warnings:
         print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
-    _write_outputs(result, args)
+    _write_outputs(result, facts, args)
     return 0
 
 
@@ -127,7 +130,7 @@ def _refuse_to_overwrite(args: argparse.Namespace) -> None:
             raise OutputFileError(path=str(path), reason="is named for two outputs")
 
 
-def _write_outputs(result: MapResult, args: argparse.Namespace) -> None:
+def _write_outputs(result: MapResult, facts: Mapping[str, float | None], args: argparse.Namespace) -> None:
     from mapper.render import render_map  # noqa: PLC0415  # see _run
     from mapper.report import summarize, to_json_object  # noqa: PLC0415  # see _run
 
@@ -138,7 +141,7 @@ def _write_outputs(result: MapResult, args: argparse.Namespace) -> None:
     if args.json is None:
         print(summarize(result))
         return
-    text = json.dumps(to_json_object(result), allow_nan=False) + "\n"
+    text = json.dumps({**to_json_object(result), **facts}, allow_nan=False) + "\n"
     if args.json == Path("-"):
         sys.stdout.write(text)
     else:
@@ -193,6 +196,9 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("encounters", type=Path, nargs="?", help="CSV with the columns t_start_s,t_end_s,id1,id2")
     run.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
     run.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
+    run.add_argument("--from-s", type=float, metavar="T", help="leave out what was over at this time of the file")
+    run.add_argument("--until-s", type=float, metavar="T", help="leave out what had not begun at this time of the file")
+    run.add_argument("--window-s", type=float, metavar="S", help="leave out what was over S before the newest encounter's end")
     run.add_argument("--speed-mps", type=float, metavar="V", help="walking speed [m/s]: lengths are then metres, else seconds")
     run.add_argument("--method", choices=[str(method) for method in Method], help="the whole recipe (default: default)")
     run.add_argument(

@@ -15,6 +15,8 @@ from firmware_protocol.errors import ConfigurationError, KeyExpressionError
 from mapper.types import Method, MetricKind, ProfileNorm, Recipe
 
 ENVIRONMENT_PREFIX = "BIOBOT_MAPPER"
+MAX_WINDOW_S = 1e9
+"""Thirty years: with a whole record of 146 at most, no sum of instants leaves 64 bits."""
 
 # METHOD of [Dir16]: elapsed time, 10 neighbours, the 0.9 quantile, 150 points, the complex drawn at half the diameter.
 _PAPER = Recipe(
@@ -76,7 +78,8 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ``site`` is the first name in the keys of the bus. ``connect`` and ``listen`` are Zenoh endpoints; a gateway on the same machine listens
     on the one that is connected to by default. ``store`` is the file of records, None for memory alone: gateways' journals fill it
     again at each start. ``host`` other than a loopback address needs ``allow_remote``, because there are no users and passwords yet;
-    ``port`` 0 takes a free one. A new map is begun no earlier than ``min_interval_s`` after the one before.
+    ``port`` 0 takes a free one. A new map is begun no earlier than ``min_interval_s`` after the one before. Of all encounters only those
+    not over ``window_s`` before the end of the newest one count, None for all; those under way then begin there.
     """
 
     site: str = "local"
@@ -87,10 +90,13 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     port: Annotated[int, Meta(ge=0, le=65_535)] = 8080
     allow_remote: bool = False
     min_interval_s: Annotated[float, Meta(ge=0.05, le=3600)] = 1.0
+    window_s: Annotated[float, Meta(ge=0.001, le=MAX_WINDOW_S)] | None = None
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
 
     def __post_init__(self) -> None:
-        """Refuse a site that cannot stand in a key."""
+        """Refuse a site that cannot stand in a key, and a window that is no number, which limits alone let pass."""
+        if self.window_s is not None and not isfinite(self.window_s):
+            raise ValueError(f"window_s is {self.window_s}, but must be a finite number of seconds; leave it out to map all encounters")
         try:
             check_name(self.site, what="site")
         except KeyExpressionError as error:

@@ -1,20 +1,18 @@
-"""The newest finished map, kept up to date: made again when records have come, never more often than asked for."""
+"""The newest finished map, kept up to date: made again when records have come, never more often than asked for, kept over a restart."""
 
 import asyncio
 import time
 from dataclasses import dataclass
-from hashlib import blake2b
 from typing import Final
 
-import msgspec
-
 from mapper.changes import Changes, Topic
-from mapper.errors import JobError, MapError, NoMapYetError, WorkerDiedError
+from mapper.errors import JobError, MapError, NoMapYetError, StoreError, WorkerDiedError
 from mapper.fleet import Fleet
 from mapper.log import EventLog
-from mapper.map_job import MapDocuments, TooFew, draw_map, make_map
+from mapper.map_job import MapDocuments, OutOfStep, TooFew, draw_map, make_map
+from mapper.map_snapshot import FinishedMap, MapSnapshot, fingerprint, pack, unpack
 from mapper.render import ImageFormat
-from mapper.store import Store
+from mapper.store import KeptMap, Store
 from mapper.store_thread import StoreThread
 from mapper.types import Recipe
 from mapper.worker import Worker
@@ -22,35 +20,62 @@ from mapper.worker import Worker
 _log = EventLog(__name__)
 
 _MAX_BACKOFF_S: Final = 30.0
+# A map is some hundred kilobytes: flash memory wears.
+_KEEP_PERIOD_S: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MapSnapshot:
-    """One finished map as it is served; it never changes."""
+class MapStatus:
+    """How the newest finished map stands to the records that have come.
 
-    version: int
-    etag: str
-    map_json: bytes
-    diagram_json: bytes
-    drawing: bytes
-    n_encounters: int
-    computed_wall_ns: int
-    computing_s: float
+    ``n_waiting`` records, each revision counted as one, have come since it was begun, ``behind_s`` ago (0 where nothing waits): no record
+    that it lacks came earlier. ``is_computing``: another one is being made.
+    """
+
+    snapshot: MapSnapshot | None
+    n_known: int
+    n_waiting: int
+    behind_s: float
+    is_computing: bool
 
 
 class CurrentMap:
-    """Makes maps in a process of its own; readers get the last finished one at once."""
+    """Makes maps in a process of its own; readers get the last finished one at once.
 
-    def __init__(self, *, records: StoreThread, recipe: Recipe, fleet: Fleet, changes: Changes, min_interval_s: float) -> None:
+    Parameters
+    ----------
+    window_ns
+        Only encounters not over so long before the end of the newest one count; None: no limit.
+    min_interval_s
+        A map is begun no earlier than this after the one before was begun.
+    """
+
+    def __init__(
+        self,
+        *,
+        records: StoreThread,
+        recipe: Recipe,
+        fleet: Fleet,
+        changes: Changes,
+        min_interval_s: float,
+        window_ns: int | None = None,
+    ) -> None:
         self.last_fault: str | None = None
+        self.keeping_fault: str | None = None
         self._records = records
         self._recipe = recipe
+        self._window_ns = window_ns
+        self._made_by = fingerprint(recipe, window_ns=window_ns)
         self._fleet = fleet
         self._changes = changes
         self._min_interval_s = min_interval_s
         self._latest: MapSnapshot | None = None
         self.waiting_for: NoMapYetError = NoMapYetError(n_encounters=0, minimum=0, reason="the mapper has just started")
         self.worker = Worker(name="map worker")
+        # Up to which change the worker has been sent everything; 0: nothing.
+        self._n_sent = 0
+        self._is_computing = False
+        self._unkept = asyncio.Event()
         self._artist = Worker(name="picture worker")
         self._pictures: dict[ImageFormat, tuple[int, bytes]] = {}
         self._picture_lock = asyncio.Lock()
@@ -59,6 +84,16 @@ class CurrentMap:
     def latest(self) -> MapSnapshot | None:
         """The last finished map, None before the first."""
         return self._latest
+
+    @property
+    def status(self) -> MapStatus:
+        """How the last finished map stands to the records that have come, right now."""
+        progress, latest = self._records.progress, self._latest
+        n_waiting = progress.change - (latest.change if latest else 0)
+        behind_s = max(0.0, (time.time_ns() - latest.begun_wall_ns) / 1e9) if latest and n_waiting else 0.0
+        return MapStatus(
+            snapshot=latest, n_known=progress.n_encounters, n_waiting=n_waiting, behind_s=behind_s, is_computing=self._is_computing
+        )
 
     def require(self) -> MapSnapshot:
         """Return the last finished map.
@@ -88,61 +123,116 @@ class CurrentMap:
                 self._pictures[image_format] = (snapshot.version, picture)
             return snapshot, picture
 
+    async def restore(self) -> None:
+        """Serve the map that was kept before the last end, if this recipe and program made it."""
+        kept = await self._records.call(Store.kept_map, made_by=self._made_by)
+        finished = None if kept is None else unpack(kept.document)
+        if kept is None or kept.change > self._records.progress.change:
+            return
+        if finished is None:
+            _log.warning("map.kept_unreadable", change=kept.change)
+            return
+        self._latest = MapSnapshot.of(finished, change=kept.change)
+        self._changes.bump(Topic.MAP)
+        _log.info("map.restored", version=finished.version, encounters=finished.documents.n_encounters)
+
     async def run(self) -> None:
         """Make a map whenever records have come, until cancelled."""
-        backoff_s = 0.0
         try:
-            while True:
-                seen = {Topic.RECORDS: self._changes.versions[Topic.RECORDS]}
-                begun = time.monotonic()
-                try:
-                    await self._make()
-                except (WorkerDiedError, JobError) as error:
-                    backoff_s = min(max(1.0, 2 * backoff_s), _MAX_BACKOFF_S)
-                    self._note_fault(error)
-                    await asyncio.sleep(backoff_s)
-                    continue
-                backoff_s = 0.0
-                await self._changes.wait(seen=seen)
-                await asyncio.sleep(max(0.0, self._min_interval_s - (time.monotonic() - begun)))
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self._keep_maps(), name="keep maps")
+                await self._make_maps()
         finally:
             await self.worker.aclose()
             await self._artist.aclose()
+            await self._keep()
+
+    async def _make_maps(self) -> None:
+        backoff_s = 0.0
+        seen = {Topic.RECORDS: self._changes.versions[Topic.RECORDS]}
+        if self._latest is not None and self._latest.change == self._records.progress.change:
+            self._fleet.set_encounter_counts(await self._records.call(Store.count_by_node))
+            await self._changes.wait(seen=seen)
+        while True:
+            seen = {Topic.RECORDS: self._changes.versions[Topic.RECORDS]}
+            begun = time.monotonic()
+            try:
+                await self._make()
+            except (WorkerDiedError, JobError) as error:
+                backoff_s = min(max(1.0, 2 * backoff_s), _MAX_BACKOFF_S)
+                self._note_fault(error)
+                await asyncio.sleep(backoff_s)
+                continue
+            backoff_s = 0.0
+            await self._changes.wait(seen=seen)
+            await asyncio.sleep(max(0.0, self._min_interval_s - (time.monotonic() - begun)))
 
     async def _make(self) -> None:
-        begun = time.monotonic()
-        snapshot = await self._records.call(Store.snapshot)
-        self._fleet.set_encounter_counts(snapshot.n_encounters_of)
+        begun, begun_wall_ns = time.monotonic(), time.time_ns()
         if self.waiting_for.minimum > 0:
-            self.waiting_for = NoMapYetError(n_encounters=len(snapshot.table), minimum=self.waiting_for.minimum)
-        outcome = await self.worker.run(make_map, snapshot, self._recipe)
+            self.waiting_for = NoMapYetError(n_encounters=self._records.progress.n_encounters, minimum=self.waiting_for.minimum)
+        self._is_computing = True
+        try:
+            outcome, change = await self._compute(after=self._n_sent)
+            if isinstance(outcome, OutOfStep):
+                outcome, change = await self._compute(after=0)
+        finally:
+            self._is_computing = False
         if isinstance(outcome, TooFew):
             self.waiting_for = NoMapYetError(n_encounters=outcome.n_encounters, minimum=outcome.minimum)
-        else:
-            self._publish(outcome, computing_s=time.monotonic() - begun)
+        elif isinstance(outcome, MapDocuments):
+            self._publish(outcome, change=change, begun_wall_ns=begun_wall_ns, computing_s=time.monotonic() - begun)
         if self.last_fault is not None:
             _log.warning("map.fault_over", after=self.last_fault)
             self.last_fault = None
         self._changes.bump(Topic.MAP)
 
-    def _publish(self, documents: MapDocuments, *, computing_s: float) -> None:
-        version = self._latest.version + 1 if self._latest else 1
-        computed_wall_ns = time.time_ns()
-        head = msgspec.json.encode(
-            {"version": version, "computed_wall_ns": computed_wall_ns, "computing_s": round(computing_s, 4)},
+    async def _compute(self, *, after: int) -> tuple[MapDocuments | TooFew | OutOfStep, int]:
+        delta, n_encounters_of = await self._records.call(lambda store: (store.delta(after=after), store.count_by_node()))
+        self._fleet.set_encounter_counts(n_encounters_of)
+        # Whatever ends this job early ends the worker's copy with it, or leaves it in doubt: the next one gets everything.
+        self._n_sent = 0
+        outcome = await self.worker.run(make_map, delta, self._recipe, window_ns=self._window_ns)
+        self._n_sent = delta.change
+        return outcome, delta.change
+
+    def _publish(self, documents: MapDocuments, *, change: int, begun_wall_ns: int, computing_s: float) -> None:
+        finished = FinishedMap(
+            version=self._latest.version + 1 if self._latest else 1,
+            begun_wall_ns=begun_wall_ns,
+            computed_wall_ns=time.time_ns(),
+            computing_s=round(computing_s, 4),
+            documents=documents,
         )
-        map_json, diagram_json = (_join_objects(head, body) for body in (documents.map_json, documents.diagram_json))
-        self._latest = MapSnapshot(
-            version=version,
-            etag=f'"{version}-{blake2b(map_json, digest_size=8).hexdigest()}"',
-            map_json=map_json,
-            diagram_json=diagram_json,
-            drawing=documents.drawing,
-            n_encounters=documents.n_encounters,
-            computed_wall_ns=computed_wall_ns,
-            computing_s=computing_s,
-        )
-        _log.debug("map.done", version=version, encounters=documents.n_encounters, seconds=round(computing_s, 3))
+        self._latest = MapSnapshot.of(finished, change=change)
+        self._unkept.set()
+        _log.debug("map.done", version=finished.version, encounters=documents.n_encounters, seconds=finished.computing_s)
+
+    async def _keep_maps(self) -> None:
+        while True:
+            await self._unkept.wait()
+            await self._keep()
+            await asyncio.sleep(_KEEP_PERIOD_S)
+
+    async def _keep(self) -> None:
+        """Keep the last finished map in the store, unless it is there."""
+        latest = self._latest
+        if latest is None or not self._unkept.is_set():
+            return
+        self._unkept.clear()
+
+        def keep(store: Store) -> None:
+            store.keep_map(KeptMap(made_by=self._made_by, change=latest.change, document=pack(latest.finished)))
+
+        try:
+            await self._records.call(keep)
+        except StoreError as error:
+            if self.keeping_fault is None:
+                _log.error("map.not_kept", reason=str(error))
+            self.keeping_fault = str(error)
+            self._unkept.set()
+        else:
+            self.keeping_fault = None
 
     def _note_fault(self, error: MapError) -> None:
         if self.last_fault is None:
@@ -150,8 +240,3 @@ class CurrentMap:
         self.last_fault = str(error)
         self.waiting_for = NoMapYetError(n_encounters=self.waiting_for.n_encounters, minimum=self.waiting_for.minimum, reason=str(error))
         self._changes.bump(Topic.MAP)
-
-
-def _join_objects(first: bytes, second: bytes) -> bytes:
-    """Make one JSON object of two that are not empty and have no key in common."""
-    return first[:-1] + b"," + second[1:]

@@ -48,10 +48,12 @@ class InputFileError(MapError):
 class TooFewEncountersError(MapError):
     """Fewer encounters than a map needs."""
 
-    def __init__(self, *, n_encounters: int, minimum: int, where: str | None = None) -> None:
+    def __init__(self, *, n_encounters: int, minimum: int, where: str | None = None, n_outside: int = 0) -> None:
         place = f"{where}: " if where else ""
         counted = "1 encounter" if n_encounters == 1 else f"{n_encounters} encounters"
-        super().__init__(f"{place}{counted}, but a map needs at least {minimum}; record for longer or with more biobots")
+        lies = f" of {n_encounters + n_outside} between the times wanted" if n_outside else ""
+        next_step = "widen --from-s, --until-s or --window-s" if n_outside else "record for longer or with more biobots"
+        super().__init__(f"{place}{counted}{lies}, but a map needs at least {minimum}; {next_step}")
         self.n_encounters = n_encounters
         self.minimum = minimum
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from firmware_protocol.contract.records import (
-    EncounterRecord,
     GatewayEvent,
     GatewayStatus,
     MissionRecord,
@@ -114,8 +113,7 @@ class Intake:
         self.counters.update(new=applied.n_new, revised=applied.n_revised, repeated=applied.n_repeated, unfit=applied.n_unfit)
         if applied.has_changed:
             self._tell(batches)
-            if any(not isinstance(record, EncounterRecord) for batch in batches for record in batch.records):
-                self._fleet.take_modes(await self._records.call(Store.latest_modes))
+            self._fleet.take_modes(applied.modes)
         return applied
 
     def _tell(self, batches: Sequence[RecordBatch]) -> None:

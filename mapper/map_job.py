@@ -1,19 +1,21 @@
-"""The job of the computing process: from a snapshot of the store to the documents that are served.
+"""The jobs of the computing process: from what has changed in the store to the documents that are served, and to pictures.
 
-The pipeline is imported where it runs: the serving process needs these functions only by name.
+The process keeps its own copy of the encounters, so that each map costs the serving process no more than what is new. The pipeline is
+imported where it runs: the serving process needs these functions only by name.
 """
 
 from __future__ import annotations
 
-import pickle
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from firmware_protocol.contract.records import Cause, Mode
-from mapper.record_columns import StoreSnapshot, to_unsigned
+from mapper.record_columns import to_unsigned
+from mapper.replica import Replica, StoreDelta
+from mapper.window import clip_table, window_begin
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -24,6 +26,13 @@ if TYPE_CHECKING:
 
 _NS_PER_S = 1e9
 
+_replica: Final = Replica()
+"""This process's copy; the serving process has one too, and leaves it empty."""
+
+
+class OutOfStep(msgspec.Struct, frozen=True):
+    """The process does not have what the delta builds on; it wants everything."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TooFew:
@@ -33,46 +42,62 @@ class TooFew:
     minimum: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MapDocuments:
-    """A finished map: two JSON objects, and the result for pictures (as bytes: only the drawing process opens them)."""
+class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
+    """A finished map: two JSON objects, the result for pictures as `encode_map` writes it, and what stands behind it.
+
+    The map is of ``n_encounters``, the last of which ended at ``last_encounter_ns`` [wall clock]; ``n_before`` were over at ``since_ns``:
+    when the landmarks were set or the window begins, whichever is later; None where there is neither.
+    """
 
     map_json: bytes
     diagram_json: bytes
-    n_encounters: int
     drawing: bytes
+    n_encounters: int
+    n_before: int
+    since_ns: int | None
+    last_encounter_ns: int
 
 
-def make_map(snapshot: StoreSnapshot, recipe: Recipe) -> MapDocuments | TooFew:
-    """Compute the map and put it into JSON."""
-    from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415  # see the module's docstring
+def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None) -> MapDocuments | TooFew | OutOfStep:
+    """Bring this process's copy up to date, compute the map of what counts, and put it into JSON."""
+    from mapper.map_codec import encode_map  # noqa: PLC0415  # see the module's docstring
+    from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415  # same
     from mapper.report import to_json_object  # noqa: PLC0415  # same
 
-    table, spells = snapshot.table, snapshot.spells
+    if not _replica.take(delta):
+        return OutOfStep()
+    whole, spells = _replica.encounters.table(), _replica.modes.spells()
+    since_ns = window_begin(whole, window_ns=window_ns, since_ns=_replica.since_ns)
+    table = clip_table(whole, since_ns=since_ns)
     if len(table) < MIN_ENCOUNTERS:
         return TooFew(n_encounters=len(table), minimum=MIN_ENCOUNTERS)
     result = compute_map(table, spells, recipe)
     document = to_json_object(result)
     for point, id1, id2 in zip(_objects(document["points"]), result.points.id1.tolist(), result.points.id2.tolist(), strict=True):
         point["id1"], point["id2"] = to_unsigned(id1), to_unsigned(id2)
+    n_before, last_encounter_ns = len(whole) - len(table), int(table.t_end_ns.max())
     document["landmarks"] = list(_place_landmarks(result, spells))
-    document["since_s"] = None if snapshot.since_ns is None else snapshot.since_ns / _NS_PER_S
-    document["n_before"] = snapshot.n_before
-    document["last_encounter_s"] = int(table.t_end_ns.max()) / _NS_PER_S
+    document["window_s"] = None if window_ns is None else window_ns / _NS_PER_S
+    document["since_s"] = None if since_ns is None else since_ns / _NS_PER_S
+    document["n_before"] = n_before
+    document["last_encounter_s"] = last_encounter_ns / _NS_PER_S
     return MapDocuments(
         map_json=msgspec.json.encode(document),
         diagram_json=msgspec.json.encode(_describe_diagram(result)),
+        drawing=encode_map(result),
         n_encounters=result.n_encounters,
-        drawing=pickle.dumps(result),
+        n_before=n_before,
+        since_ns=since_ns,
+        last_encounter_ns=last_encounter_ns,
     )
 
 
 def draw_map(drawing: bytes, image_format: ImageFormat) -> bytes:
     """Draw a map that `make_map` made."""
-    from mapper.render import render_map  # noqa: PLC0415  # see the module's docstring
+    from mapper.map_codec import decode_map  # noqa: PLC0415  # see the module's docstring
+    from mapper.render import render_map  # noqa: PLC0415  # same
 
-    result: MapResult = pickle.loads(drawing)  # noqa: S301  # made by make_map in a process of ours
-    return render_map(result, image_format=image_format)
+    return render_map(decode_map(drawing), image_format=image_format)
 
 
 def _objects(value: JsonValue) -> Iterable[JsonObject]:

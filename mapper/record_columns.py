@@ -1,19 +1,18 @@
-"""The store's memory: records as columns of numbers, ready to become a table of encounters and mode spells.
+"""The store's memory of encounters: columns of numbers by row, and what has changed in them since a moment.
 
 Node ids are unsigned 64-bit numbers (an EUI-64 is), but columns and tables hold signed ones: ids from 2**63 on are kept as
 negative numbers, by `to_signed`, and named properly again, by `to_unsigned`, where people see them.
 """
 
-from collections import defaultdict
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.contract.records import EncounterRecord, JournalRecord, MissionRecord, ModeRecord
+from firmware_protocol.contract.records import EncounterRecord, JournalRecord, MissionRecord
 from firmware_protocol.units import NodeId
-from mapper.types import EncounterTable, IntArray, ModeSpell
-from mapper.window import make_encounter_table
+from mapper.types import BoolArray, IntArray
 
 _MAX_INTEGER = 2**63 - 1
 # Year 2116: any two instants below differ by less than a table can span.
@@ -22,18 +21,22 @@ _FIRST_CAPACITY = 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StoreSnapshot:
-    """What a map is made of, at one moment.
+class EncounterRows:
+    """Encounters by row of the store, in any order.
 
-    ``since_ns`` is time 0, the moment the landmarks were set [wall clock]; None where no mission did that. The ``n_before`` encounters
-    that were over by then are not in ``table``. ``n_encounters_of`` counts all encounters of each biobot (unsigned ids).
+    All arrays have shape (m,). ``t_start_ns <= t_end_ns`` on the wall clock [ns]; ``id1`` and ``id2`` signed, different, in either order.
+    No ``row`` is there twice. An encounter that is void has a row too, which does not ``count``.
     """
 
-    table: EncounterTable
-    spells: tuple[ModeSpell, ...]
-    since_ns: int | None
-    n_before: int
-    n_encounters_of: Mapping[NodeId, int]
+    row: IntArray
+    t_start_ns: IntArray
+    t_end_ns: IntArray
+    id1: IntArray
+    id2: IntArray
+    counts: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.row)
 
 
 def to_signed(node: int) -> NodeId:
@@ -62,73 +65,61 @@ def is_fit(record: JournalRecord) -> bool:
     return record.boot >= 0 and max(record.boot, record.sequence, record.revision) <= _MAX_INTEGER
 
 
+def make_rows(rows: Sequence[int], records: Sequence[EncounterRecord]) -> EncounterRows:
+    """Put records beside their rows."""
+    return EncounterRows(
+        row=np.array(rows, dtype=np.int64),
+        t_start_ns=np.array([record.t_start_ns + record.wall_anchor_ns for record in records], dtype=np.int64),
+        t_end_ns=np.array([record.t_end_ns + record.wall_anchor_ns for record in records], dtype=np.int64),
+        id1=np.array([record.node_a for record in records], dtype=np.uint64).view(np.int64),
+        id2=np.array([record.node_b for record in records], dtype=np.uint64).view(np.int64),
+        counts=np.array([not record.is_void for record in records], dtype=np.bool_),
+    )
+
+
 class EncounterColumns:
-    """Encounters by row number; a row that holds none, or a void one, does not count."""
+    """Encounters by row number; a row that holds none, or a void one, does not count. Rows are numbered from 1, almost without gaps."""
 
     def __init__(self) -> None:
-        # Rows: begin, end [ns, wall clock], the two ids (signed), and whether it counts.
-        self._columns: IntArray = np.zeros((5, _FIRST_CAPACITY), dtype=np.int64)
+        # Rows: begin, end [ns, wall clock], the two ids (signed), whether it counts, and the number of its last change (0: no encounter).
+        self._columns: IntArray = np.zeros((6, _FIRST_CAPACITY), dtype=np.int64)
         self._n_rows = 0
+        self._n_of: Counter[int] = Counter()
         self.n_counting = 0
 
-    def put(self, row: int, record: EncounterRecord) -> None:
-        """Set a row; a later record of the same row takes its place."""
-        capacity = self._columns.shape[1]
-        if row >= capacity:
-            grown = np.zeros((5, max(2 * capacity, row + 1)), dtype=np.int64)
-            grown[:, :capacity] = self._columns
-            self._columns = grown
-        begin, end = record.t_start_ns + record.wall_anchor_ns, record.t_end_ns + record.wall_anchor_ns
-        self.n_counting += (not record.is_void) - int(self._columns[4, row])
-        self._columns[:, row] = (begin, end, to_signed(record.node_a), to_signed(record.node_b), int(not record.is_void))
-        self._n_rows = max(self._n_rows, row + 1)
+    def put(self, rows: EncounterRows, *, changes: IntArray) -> None:
+        """Set rows; ``changes``, shape (m,), positive, says by which change each was set."""
+        if not len(rows):
+            return
+        self._reserve(int(rows.row.max()) + 1)
+        before = self._columns[:, rows.row]
+        self._count(before[2], before[3], before[4].astype(np.bool_), sign=-1)
+        self._count(rows.id1, rows.id2, rows.counts, sign=1)
+        for column, values in enumerate((rows.t_start_ns, rows.t_end_ns, rows.id1, rows.id2, rows.counts, changes)):
+            self._columns[column, rows.row] = values
 
-    def table(self, *, since_ns: int | None) -> EncounterTable:
-        """Return the encounters that count in canonical order; those over at ``since_ns`` do not, those under way then begin there."""
-        begin, end, id1, id2, counts = self._columns[:, : self._n_rows]
-        chosen = counts.astype(np.bool_)
-        if since_ns is not None:
-            chosen &= end > since_ns
-            begin = np.maximum(begin, since_ns)
-        return make_encounter_table(t_start_ns=begin[chosen], t_end_ns=end[chosen], id1=id1[chosen], id2=id2[chosen])
+    def changed_after(self, change: int) -> EncounterRows:
+        """Return the encounters that were set after a change, void ones too; after 0, all of them."""
+        _, _, _, _, counts, changes = self._columns[:, : self._n_rows]
+        row = np.flatnonzero(changes > change)
+        begin, end, id1, id2 = (column[row] for column in self._columns[:4])
+        return EncounterRows(row=row, t_start_ns=begin, t_end_ns=end, id1=id1, id2=id2, counts=counts[row].astype(np.bool_))
 
     def count_by_node(self) -> Mapping[NodeId, int]:
-        """Count the encounters of each biobot."""
-        _, _, id1, id2, counts = self._columns[:, : self._n_rows]
-        chosen = counts.astype(np.bool_)
-        nodes, numbers = np.unique(np.concatenate([id1[chosen], id2[chosen]]), return_counts=True)
-        return {to_unsigned(node): number for node, number in zip(nodes.tolist(), numbers.tolist(), strict=True)}
+        """Count the encounters of each biobot that has any."""
+        return {to_unsigned(node): number for node, number in self._n_of.items() if number}
 
+    def _reserve(self, n_rows: int) -> None:
+        capacity = self._columns.shape[1]
+        if n_rows > capacity:
+            grown = np.zeros((6, max(2 * capacity, n_rows)), dtype=np.int64)
+            grown[:, : self._n_rows] = self._columns[:, : self._n_rows]
+            self._columns = grown
+        self._n_rows = max(self._n_rows, n_rows)
 
-class ModeSpells:
-    """Mode records by row number."""
-
-    def __init__(self) -> None:
-        self._records: dict[int, ModeRecord] = {}
-
-    def put(self, row: int, record: ModeRecord) -> None:
-        """Set a row; a later record of the same row takes its place."""
-        self._records[row] = record
-
-    def spells(self) -> tuple[ModeSpell, ...]:
-        """Return all spells by biobot and begin; one ends at the latest where the next of the same biobot begins."""
-        spells: list[ModeSpell] = []
-        for node, records in sorted(self._by_node().items()):
-            for record in records:
-                begin, end = wall_interval(record)
-                if spells and spells[-1].node == node:
-                    before = spells[-1]
-                    if before.t_end_ns is None or before.t_end_ns > begin:
-                        spells[-1] = replace(before, t_end_ns=begin)
-                spells.append(ModeSpell(node=node, t_start_ns=begin, t_end_ns=end, mode=record.mode, cause=record.cause))
-        return tuple(spells)
-
-    def latest(self) -> tuple[ModeRecord, ...]:
-        """Return the record that began last for every biobot."""
-        return tuple(records[-1] for records in self._by_node().values())
-
-    def _by_node(self) -> dict[NodeId, list[ModeRecord]]:
-        by_node: defaultdict[NodeId, list[ModeRecord]] = defaultdict(list)
-        for record in sorted(self._records.values(), key=lambda record: (wall_interval(record)[0], record.identity)):
-            by_node[to_signed(record.node)].append(record)
-        return by_node
+    def _count(self, id1: IntArray, id2: IntArray, counts: BoolArray, *, sign: int) -> None:
+        n_counting = int(np.count_nonzero(counts))
+        if n_counting:
+            self.n_counting += sign * n_counting
+            nodes, numbers = np.unique(np.concatenate([id1[counts], id2[counts]]), return_counts=True)
+            self._n_of.update(dict(zip(nodes.tolist(), (sign * numbers).tolist(), strict=True)))

@@ -32,7 +32,7 @@ from mapper.types import Method, MetricKind
 
 _log = EventLog(__name__)
 
-_FLAGS = ("site", "connect", "listen", "store", "host", "port", "allow_remote", "min_interval_s", "log_level")
+_FLAGS = ("site", "connect", "listen", "store", "host", "port", "allow_remote", "min_interval_s", "window_s", "log_level")
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 _GRACEFUL_S = 5
 
@@ -52,6 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--url-file", type=Path, metavar="FILE", help="write the page's URL there when it is up")
     parser.add_argument("--min-interval-s", type=float, metavar="S", help="shortest time from one map to the next (default: 1)")
+    parser.add_argument(
+        "--window-s", type=float, metavar="S", help="map what was not over S before the newest encounter's end (default: all)"
+    )
     parser.add_argument("--speed-mps", type=float, metavar="V", help="walking speed [m/s]: lengths are then metres, else seconds")
     parser.add_argument("--method", choices=[str(method) for method in Method], help="the whole recipe (default: default)")
     parser.add_argument(
@@ -104,14 +107,21 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
         intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes)
         desk = CommandDesk(bus=bus, fleet=fleet, changes=changes)
         current_map = CurrentMap(
-            records=records, recipe=make_recipe(config.recipe), fleet=fleet, changes=changes, min_interval_s=serve.min_interval_s
+            records=records,
+            recipe=make_recipe(config.recipe),
+            fleet=fleet,
+            changes=changes,
+            min_interval_s=serve.min_interval_s,
+            window_ns=None if serve.window_s is None else round(serve.window_s * 1e9),
         )
+        await current_map.restore()
 
         def counters() -> Mapping[str, int]:
             return {**intake.counters, **{f"bus_{name}": number for name, number in bus.counters.items()}, "ignored": fleet.n_ignored}
 
         def faults() -> list[str]:
-            return [fault for fault in (intake.store_fault, current_map.last_fault) if fault is not None]
+            found = (intake.store_fault, current_map.last_fault, current_map.keeping_fault)
+            return [fault for fault in found if fault is not None]
 
         services = Services(
             records=records,

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Concatenate, ParamSpec, Self, TypeVar
 
-from mapper.store import Store
+from mapper.store import Store, StoreProgress
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -36,8 +36,13 @@ class StoreThread:
             raise
         return cls(store, executor)
 
+    @property
+    def progress(self) -> StoreProgress:
+        """How far the store has come; no waiting."""
+        return self._store.progress
+
     async def call(self, method: Callable[Concatenate[Store, _P], _T], *args: _P.args, **kwargs: _P.kwargs) -> _T:
-        """Call a method of the store there: ``await records.call(Store.snapshot)``."""
+        """Call a method of the store there: ``await records.call(Store.missions)``."""
         return await asyncio.get_running_loop().run_in_executor(self._executor, lambda: method(self._store, *args, **kwargs))
 
     async def aclose(self) -> None:

@@ -68,6 +68,40 @@ def _canonical_order(start: IntArray, end: IntArray, low: IntArray, high: IntArr
     return order
 
 
+def window_begin(table: EncounterTable, *, window_ns: int | None, since_ns: int | None) -> int | None:
+    """Say from when encounters count: from ``since_ns`` on, and from ``window_ns`` before the end of the newest on; None: all do."""
+    if window_ns is None or len(table) == 0:
+        return since_ns
+    begin = int(table.t_end_ns.max()) - window_ns
+    return begin if since_ns is None else max(begin, since_ns)
+
+
+def clip_table(table: EncounterTable, *, since_ns: int | None = None, until_ns: int | None = None) -> EncounterTable:
+    """Leave out what was over at ``since_ns`` or had not begun at ``until_ns``, and cut what was under way then.
+
+    Notes
+    -----
+    Order, ties too, is as in a table made of the clipped encounters. What lies between is not sorted again; without ``until_ns`` it is not
+    even copied where nothing was under way at ``since_ns``.
+    """
+    columns: tuple[IntArray, ...] = (table.t_start_ns, table.t_end_ns, table.id1, table.id2, table.source_row)
+    if until_ns is not None:
+        n = int(np.searchsorted(table.t_start_ns, until_ns, side="left"))
+        start, end, id1, id2, row = (column[:n] for column in columns)
+        end = np.minimum(end, until_ns)
+        order = np.lexsort((row, id2, id1, end, start))
+        columns = (start[order], end[order], id1[order], id2[order], row[order])
+    if since_ns is not None:
+        n = int(np.searchsorted(columns[0], since_ns, side="right"))
+        _, end, id1, id2, row = (column[:n][columns[1][:n] > since_ns] for column in columns)
+        order = np.lexsort((row, id2, id1, end))
+        begun = (np.full(len(end), since_ns), end[order], id1[order], id2[order], row[order])
+        rest = tuple(column[n:] for column in columns)
+        columns = tuple(np.concatenate([cut, whole]) for cut, whole in zip(begun, rest, strict=True)) if len(end) else rest
+    start, end, id1, id2, row = (read_only(column) for column in columns)
+    return EncounterTable(t_start_ns=start, t_end_ns=end, id1=id1, id2=id2, source_row=row)
+
+
 def stationary_spells(table: EncounterTable, ids: Sequence[int]) -> tuple[ModeSpell, ...]:
     """Make one commanded static spell over the whole record for each biobot named, in ascending order of ids."""
     if len(table) == 0:

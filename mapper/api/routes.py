@@ -24,6 +24,7 @@ from mapper.api.schemas import (
     DiagramView,
     EncounterList,
     HealthView,
+    MapStatusView,
     MapView,
     MissionView,
     Problem,
@@ -38,6 +39,7 @@ from mapper.api.views import (
     view_command,
     view_encounter,
     view_gateway,
+    view_map_status,
     view_mission,
 )
 from mapper.commands import Outcome
@@ -67,6 +69,10 @@ _COMMAND_PROBLEMS: Final = (
     HTTPStatus.TOO_MANY_REQUESTS,
     HTTPStatus.SERVICE_UNAVAILABLE,
 )
+_FRESHNESS_HEADERS: Final = {
+    "Map-Behind": {"description": "No record that is missing in the map came earlier than this [s] ago", "schema": {"type": "number"}},
+    "Map-Waiting": {"description": "Records that have come since the map was begun", "schema": {"type": "integer"}},
+}
 _MAX_CURSOR: Final = 2**63 - 1
 
 
@@ -85,25 +91,30 @@ def _add_map_routes(router: APIRouter, services: Services) -> None:
     async def get_map(request: Request) -> Response:
         """Return the newest finished map: points, Rips complex, holes, intervals, landmarks."""
         snapshot = services.current_map.require()
-        return versioned_response(request, snapshot.map_json, etag=snapshot.etag, media_type=JSON_TYPE)
+        return versioned_response(request, snapshot.map_json, etag=snapshot.etag, media_type=JSON_TYPE, headers=_freshness(services))
+
+    @router.get("/api/v1/map/status", tags=["map"], responses=_answers(MapStatusView))
+    async def get_map_status() -> Response:
+        """Say what the newest finished map is of, how old it is, and how many records it waits to take in; small, to be asked often."""
+        return json_response(view_map_status(services.current_map.status, waiting=services.current_map.waiting_for))
 
     @router.get("/api/v1/diagram", tags=["map"], responses=_answers(DiagramView, _MAP_PROBLEMS, is_versioned=True))
     async def get_diagram(request: Request) -> Response:
         """Return the persistence diagram of the newest finished map."""
         snapshot = services.current_map.require()
-        return versioned_response(request, snapshot.diagram_json, etag=snapshot.etag, media_type=JSON_TYPE)
+        return versioned_response(request, snapshot.diagram_json, etag=snapshot.etag, media_type=JSON_TYPE, headers=_freshness(services))
 
     @router.get("/api/v1/map.svg", tags=["map"], responses=_answers("image/svg+xml", _PICTURE_PROBLEMS, is_versioned=True))
     async def get_map_svg(request: Request) -> Response:
         """Draw the newest finished map as SVG."""
         snapshot, picture = await services.current_map.picture("svg")
-        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/svg+xml")
+        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/svg+xml", headers=_freshness(services))
 
     @router.get("/api/v1/map.png", tags=["map"], responses=_answers("image/png", _PICTURE_PROBLEMS, is_versioned=True))
     async def get_map_png(request: Request) -> Response:
         """Draw the newest finished map as PNG."""
         snapshot, picture = await services.current_map.picture("png")
-        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/png")
+        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/png", headers=_freshness(services))
 
 
 def _add_record_routes(router: APIRouter, services: Services) -> None:
@@ -190,7 +201,7 @@ def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream
             {
                 "status": "ok",
                 "wall_ns": time.time_ns(),
-                "n_encounters": await services.records.call(lambda store: store.n_encounters),
+                "n_encounters": services.records.progress.n_encounters,
                 "map_version": latest.version if latest else None,
                 "waiting": None if latest else str(services.current_map.waiting_for),
                 "counters": services.counters(),
@@ -214,6 +225,12 @@ def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream
         return json_response(document, status=HTTPStatus.OK if is_connected else HTTPStatus.SERVICE_UNAVAILABLE)
 
 
+def _freshness(services: Services) -> dict[str, str]:
+    """Make the headers that say how far the map is behind [s], and how many records wait for the next one."""
+    status = services.current_map.status
+    return {"Map-Behind": f"{status.behind_s:.3f}", "Map-Waiting": str(status.n_waiting)}
+
+
 def _answers(content: type | str, problems: tuple[HTTPStatus, ...] = (), *, is_versioned: bool = False) -> dict[int | str, dict[str, Any]]:
     """Describe an endpoint's answers: a model or a media type, and the errors it may tell."""
     fine: dict[str, Any] = {"description": "The newest state"}
@@ -224,6 +241,7 @@ def _answers(content: type | str, problems: tuple[HTTPStatus, ...] = (), *, is_v
         fine["model"] = content
     answers: dict[int | str, dict[str, Any]] = {200: fine}
     if is_versioned:
+        fine["headers"] = _FRESHNESS_HEADERS
         answers[304] = {"description": "The client has this version (If-None-Match)"}
     for status in problems:
         schema = {"$ref": f"#/components/schemas/{Problem.__name__}"}

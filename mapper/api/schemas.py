@@ -203,6 +203,7 @@ class MapView(_Answer):
     """The map; lengths in ``parameters.length_unit``."""
 
     version: int
+    begun_wall_ns: int = Field(description="It is of all records that had come by then")
     computed_wall_ns: int
     computing_s: float
     betti_numbers: list[int]
@@ -217,11 +218,33 @@ class MapView(_Answer):
     n_encounters: int
     n_used: int
     lost_spectrum: float
-    since_s: float | None = Field(description="The moment the landmarks were set [s since 1970]; null: no mission did that")
+    window_s: float | None = Field(description="Encounters over so long before the end of the newest one are left out; null: none for that")
+    since_s: float | None = Field(
+        description="Encounters count from then [s since 1970]: the landmarks were set, or the window begins; null: neither"
+    )
     n_before: int = Field(description="Encounters that were over by then, and are left out")
     last_encounter_s: float
     parameters: dict[str, object]
     warnings: list[str]
+
+
+class MapStatusView(_Answer):
+    """The newest finished map and what has come since it was begun; the map's own fields are null before the first."""
+
+    now_wall_ns: int
+    n_known: int = Field(description="Encounters in the store that are not void")
+    n_waiting: int = Field(description="Records that have come since the map was begun, each revision counted as one")
+    behind_s: float = Field(description="No record that is missing in the map came earlier than this [s] ago; 0: none is missing")
+    is_computing: bool = Field(description="Another map is being made")
+    waiting: str | None = Field(description="What the first map is waiting for; null when there is one")
+    version: int | None
+    begun_wall_ns: int | None = Field(description="The map is of all records that had come by then")
+    computed_wall_ns: int | None
+    computing_s: float | None
+    n_encounters: int | None = Field(description="Encounters that the map is of")
+    n_before: int | None = Field(description="Encounters that were over at since_wall_ns, and are left out")
+    since_wall_ns: int | None = Field(description="Landmarks were set, or the window begins; null: neither")
+    last_encounter_wall_ns: int | None = Field(description="End of the newest encounter of the map")
 
 
 class DiagramInterval(_Answer):

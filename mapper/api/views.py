@@ -1,12 +1,15 @@
 """From the mapper's values to the JSON objects that ``schemas`` describes."""
 
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Mapping
 
 import msgspec
 from fastapi import Request, Response
 
 from firmware_protocol.contract.records import EncounterRecord, GatewayStatus, MissionRecord
 from mapper.commands import Command
+from mapper.current_map import MapStatus
+from mapper.errors import NoMapYetError
 from mapper.fleet import BiobotView, GatewayView
 
 JSON_TYPE = "application/json"
@@ -21,9 +24,9 @@ def json_response(value: object, *, status: int = 200, headers: dict[str, str] |
     )
 
 
-def versioned_response(request: Request, body: bytes, *, etag: str, media_type: str) -> Response:
+def versioned_response(request: Request, body: bytes, *, etag: str, media_type: str, headers: Mapping[str, str]) -> Response:
     """Answer with bytes made once for a version, or with 304 where the client has them (RFC 9110, 13.1.2)."""
-    headers = {"ETag": etag, "Cache-Control": "no-cache"}
+    headers = {"ETag": etag, "Cache-Control": "no-cache", **headers}
     if _matches(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     return Response(body, media_type=media_type, headers=headers)
@@ -80,6 +83,30 @@ def view_biobot(view: BiobotView) -> dict[str, object]:
         "firmware": view.firmware,
         "n_neighbours": view.n_neighbours,
         "n_encounters": view.n_encounters,
+    }
+
+
+def view_map_status(status: MapStatus, *, waiting: NoMapYetError) -> dict[str, object]:
+    """Describe how the newest finished map stands to the records; all of the map is null before the first."""
+    document: dict[str, object] = {
+        "now_wall_ns": time.time_ns(),
+        "n_known": status.n_known,
+        "n_waiting": status.n_waiting,
+        "behind_s": status.behind_s,
+        "is_computing": status.is_computing,
+        "waiting": str(waiting) if status.snapshot is None else None,
+    }
+    finished = status.snapshot.finished if status.snapshot else None
+    of = finished.documents if finished else None
+    return document | {
+        "version": finished and finished.version,
+        "begun_wall_ns": finished and finished.begun_wall_ns,
+        "computed_wall_ns": finished and finished.computed_wall_ns,
+        "computing_s": finished and finished.computing_s,
+        "n_encounters": of and of.n_encounters,
+        "n_before": of and of.n_before,
+        "since_wall_ns": of and of.since_ns,
+        "last_encounter_wall_ns": of and of.last_encounter_ns,
     }
 
 

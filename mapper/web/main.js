@@ -1,7 +1,7 @@
 // Wires the page: what changed is fetched again, and only that.
 
 import { DiagramView } from "./diagram_view.js";
-import { age, count, length } from "./format.js";
+import { age, clock, count, length } from "./format.js";
 import { MapView } from "./map_view.js";
 import { makeFetcher, watch } from "./net.js";
 import { Roster } from "./roster.js";
@@ -14,10 +14,11 @@ const mapView = new MapView(element("map-canvas"), element("map-tip"));
 const diagramView = new DiagramView(element("diagram"), { onChoose: (hole) => mapView.choose(hole) });
 const roster = new Roster({ body: element("rows"), empty: element("no-rows"), filter: element("filter"), operator: element("operator"), outcome: element("outcome") });
 
-const fetchers = Object.fromEntries(Object.entries({ health: "/healthz", map: "/api/v1/map", diagram: "/api/v1/diagram", biobots: "/api/v1/biobots", mission: "/api/v1/mission" }).map(([name, path]) => [name, makeFetcher(path)]));
+const fetchers = Object.fromEntries(Object.entries({ health: "/healthz", map: "/api/v1/map", status: "/api/v1/map/status", diagram: "/api/v1/diagram", biobots: "/api/v1/biobots", mission: "/api/v1/mission" }).map(([name, path]) => [name, makeFetcher(path)]));
 let map = null;
 let diagram = null;
-let mapMadeAt = null;
+let mapBegunAt = null;
+let waiting = 0;
 let isLineUp = false;
 let gateways = [];
 
@@ -47,7 +48,6 @@ const refreshMap = paced(async () => {
   const [newMap, newDiagram] = await Promise.all([fetchers.map(), fetchers.diagram()]);
   map = newMap ?? map;
   diagram = newDiagram ?? diagram;
-  mapMadeAt = performance.now() - (health.wall_ns - map.computed_wall_ns) / 1e6;
   element("waiting").hidden = true;
   element("save").hidden = false;
   mapView.show(map);
@@ -58,10 +58,19 @@ const refreshMap = paced(async () => {
     element(`${word}s-word`).textContent = number === 1 ? word : `${word}s`;
   });
   element("encounters").textContent = count(map.n_encounters);
-  element("encounters").title = map.n_before ? `${count(map.n_before)} more, from before the landmarks stood, are left out` : "";
+  const cause = map.window_s === null ? "from before the landmarks stood" : "from before the landmarks stood or the window began";
+  element("encounters").title = `up to ${clock(map.last_encounter_s)}` + (map.n_before ? `; ${count(map.n_before)} more, ${cause}, are left out` : "");
   element("diameter").textContent = length(map.diameter, map.parameters.length_unit);
   const scales = [...new Set(map.components.map((part) => length(part.epsilon, map.parameters.length_unit)))];
   element("epsilon").textContent = `= ${scales.slice(0, 2).join(", ")}`;
+  tick();
+});
+
+const refreshStatus = paced(async () => {
+  const status = await fetchers.status();
+  if (status.version === null) return;
+  mapBegunAt = performance.now() - (status.now_wall_ns - status.begun_wall_ns) / 1e6;
+  waiting = status.n_waiting;
   tick();
 });
 
@@ -103,7 +112,8 @@ function showLink() {
 }
 
 function tick() {
-  element("age").textContent = mapMadeAt === null ? "–" : age((performance.now() - mapMadeAt) / 1000);
+  element("age").textContent = mapBegunAt === null ? "–" : age((performance.now() - mapBegunAt) / 1000) + (waiting ? ` +${count(waiting)}` : "");
+  element("age").title = waiting ? `${count(waiting)} records have come since and wait for the next map` : "of all records that have come";
   roster.tick();
 }
 
@@ -129,6 +139,7 @@ watch({
   onVersions: (versions) => {
     const hasNews = (...topics) => topics.some((topic) => versions[topic] !== seen[topic]);
     if (hasNews("map")) refreshMap();
+    if (hasNews("map", "records")) refreshStatus();
     if (hasNews("map", "biobots", "commands")) refreshBiobots();
     if (hasNews("mission")) refreshMission();
     seen = versions;

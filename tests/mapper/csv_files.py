@@ -59,7 +59,7 @@ def plain_files(draw: st.DrawFn) -> str:
     end = draw(_ends)
     lines = [",".join(names)]
     for _ in range(draw(st.integers(0, 6))):
-        start = draw(st.integers(-299_999_999, 10**9))
+        start = draw(st.integers(-299_999_999, 10**9 - 1))
         values = {
             "t_start_s": f"{start}.{draw(_digits)}",
             "t_end_s": f"{start + draw(st.integers(1, 9))}{draw(st.sampled_from(['', '.', 'e0', '.25']))}",

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from mapper.api.services import Engines, Services
 from mapper.bus import Bus
@@ -64,13 +65,30 @@ class Side:
 
 
 @asynccontextmanager
-async def mapper_side(port: int, *, with_map: bool = False) -> AsyncIterator[Side]:
-    records = await StoreThread.open(None)
+async def mapper_side(
+    port: int,
+    *,
+    with_map: bool = False,
+    store: Path | None = None,
+    recipe: RecipeConfig | None = None,
+    window_ns: int | None = None,
+    min_interval_s: float = 0.1,
+) -> AsyncIterator[Side]:
+    records = await StoreThread.open(store)
     bus = await Bus.open(site=SITE, connect=(f"tcp/127.0.0.1:{port}",), listen=())
     fleet, changes = Fleet(), Changes()
     intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes)
     desk = CommandDesk(bus=bus, fleet=fleet, changes=changes)
-    current_map = CurrentMap(records=records, recipe=make_recipe(RecipeConfig()), fleet=fleet, changes=changes, min_interval_s=0.1)
+    current_map = CurrentMap(
+        records=records,
+        recipe=make_recipe(recipe or RecipeConfig()),
+        fleet=fleet,
+        changes=changes,
+        min_interval_s=min_interval_s,
+        window_ns=window_ns,
+    )
+    if with_map:
+        await current_map.restore()
     runs = [intake.run(), desk.run(), *([current_map.run()] if with_map else [])]
     tasks = [asyncio.create_task(run) for run in runs]
     try:

@@ -99,6 +99,28 @@ def test_kernels_that_are_demanded_and_unknown_are_refused_before_anything_is_op
     assert not store.exists()
 
 
+def test_stopped_and_started_again_it_serves_the_last_map_before_a_gateway_is_there(tmp_path: Path) -> None:
+    port = free_port()
+    store = ["--store", str(tmp_path / "records.db")]
+    records = ring_records()
+    wanted = sum(isinstance(record, EncounterRecord) for record in records)
+    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port, arguments=store) as (url, _process):
+        gateway.journal_records(records)
+        until(lambda: get(url + "readyz")["is_connected"])
+        gateway.publish_status()
+        until(lambda: get(url + "api/v1/map/status")["n_encounters"] == wanted)
+        before = httpx.get(url + "api/v1/map")
+    with serving(tmp_path, connect=port, arguments=store) as (url, _process):
+        after, status = httpx.get(url + "api/v1/map"), get(url + "api/v1/map/status")
+        assert (after.headers["etag"], after.content) == (before.headers["etag"], before.content)
+        assert (status["n_known"], status["n_waiting"], status["behind_s"], status["is_computing"]) == (wanted, 0, 0, False)
+    with serving(tmp_path, connect=port, arguments=[*store, "--window-s", "10"]) as (url, _process):
+        until(lambda: httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
+        document = get(url + "api/v1/map")
+        assert document["window_s"] == 10
+        assert document["n_encounters"] + document["n_before"] == wanted
+
+
 def test_event_streams_tell_of_changes_and_do_not_hold_up_the_stop(tmp_path: Path) -> None:
     port = free_port()
     with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, process):
@@ -157,6 +179,9 @@ def test_an_address_in_use_is_said_in_one_line(capsys: pytest.CaptureFixture[str
         (["--host", "203.0.113.9", "--port", "0", "--allow-remote"], 1, "cannot listen on 203.0.113.9:0"),
         (["--port", "70000"], 2, "serve.port is 70000"),
         (["--port", "0", "--min-interval-s", "0"], 2, "serve.min_interval_s is 0.0"),
+        (["--port", "0", "--window-s", "0"], 2, "serve.window_s is 0.0"),
+        (["--port", "0", "--window-s", "nan"], 2, "window_s is nan"),
+        (["--port", "0", "--window-s", "inf"], 2, "serve.window_s is inf"),
         (["--port", "0", "--site", "a/b"], 2, "a site name has"),
         (["--port", "0", "--connect", "nonsense"], 1, "give endpoints such as tcp/127.0.0.1:7447"),
         (["--port", "0", "--store", "/"], 1, "is a directory"),

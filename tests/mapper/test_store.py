@@ -17,7 +17,9 @@ from firmware_protocol.contract.records import Cause, EncounterRecord, JournalRe
 from mapper.errors import StoreError
 from mapper.offsets import OffsetSet
 from mapper.record_columns import to_signed, to_unsigned
+from mapper.replica import Replica
 from mapper.store import Store
+from mapper.window import clip_table
 from tests.mapper.fake_gateway import ANCHOR_NS, BOOT, S, batch, encounter, mission, mode
 
 SOURCE = {"gateway": "gateway1", "journal": "journal1"}
@@ -45,12 +47,18 @@ def journals(draw: st.DrawFn) -> list[JournalRecord]:
     return records
 
 
+def replica_of(store: Store) -> Replica:
+    replica = Replica()
+    assert replica.take(store.delta(after=0))
+    return replica
+
+
 def content(store: Store) -> object:
-    snapshot = store.snapshot()
-    table = snapshot.table
+    replica = replica_of(store)
+    table = replica.encounters.table()
     columns = [column.tolist() for column in (table.t_start_ns, table.t_end_ns, table.id1, table.id2)]
     pages = sorted(store.encounters(after=0, limit=1000).records, key=lambda record: record.sequence)
-    return columns, snapshot.spells, dict(snapshot.n_encounters_of), pages, store.n_encounters
+    return columns, replica.modes.spells(), dict(store.count_by_node()), pages, store.n_encounters
 
 
 @given(data=st.data(), records=journals())
@@ -150,7 +158,7 @@ def test_what_was_applied_before_a_kill_is_there_and_nothing_else(tmp_path: Path
     store = Store(path)
     assert store.watermark(**SOURCE) >= told
     assert store.n_encounters == store.watermark(**SOURCE)
-    assert store.snapshot().n_encounters_of == {1: store.n_encounters, 2: store.n_encounters}
+    assert store.count_by_node() == {1: store.n_encounters, 2: store.n_encounters}
     store.close()
 
 
@@ -204,7 +212,7 @@ def test_a_spell_ends_at_the_latest_where_the_next_begins() -> None:
         mode(3, node=2**64 - 2, t_ns=(S, 2 * S)),
     ]
     store.apply([batch(records)])
-    spells = store.snapshot().spells
+    spells = replica_of(store).modes.spells()
     assert [(spell.node, spell.t_start_ns - ANCHOR_NS, spell.t_end_ns and spell.t_end_ns - ANCHOR_NS) for spell in spells] == [
         (-2, S, 2 * S),
         (3, 0, 5 * S),
@@ -224,12 +232,13 @@ def test_unsigned_ids_survive_signed_columns(node: int) -> None:
 def test_once_a_mission_has_set_landmarks_only_what_came_after_counts() -> None:
     store = Store(None)
     store.apply([batch([encounter(1, t_ns=(0, 2 * S)), encounter(2, t_ns=(S, 9 * S)), encounter(3, t_ns=(6 * S, 7 * S))])])
-    assert (len(store.snapshot().table), store.snapshot().since_ns) == (3, None)
+    assert (len(replica_of(store).encounters), replica_of(store).since_ns) == (3, None)
     phases = [(4, MissionPhase.DISPERSION, 0), (5, MissionPhase.EXPLORATION, 2 * S), (6, MissionPhase.DONE, 20 * S)]
     store.apply([batch([mission(offset, phase=phase, t_ns=at) for offset, phase, at in phases])])
-    snapshot = store.snapshot()
-    assert (snapshot.table.t_start_ns - ANCHOR_NS).tolist() == [2 * S, 6 * S]
-    assert (snapshot.since_ns, snapshot.n_before, snapshot.n_encounters_of) == (ANCHOR_NS + 2 * S, 1, {1: 3, 2: 3})
+    replica = replica_of(store)
+    table = clip_table(replica.encounters.table(), since_ns=replica.since_ns)
+    assert (table.t_start_ns - ANCHOR_NS).tolist() == [2 * S, 6 * S]
+    assert (replica.since_ns, store.count_by_node()) == (ANCHOR_NS + 2 * S, {1: 3, 2: 3})
     assert store.n_encounters == 3
     assert [record.phase for record in store.missions()] == [phase for _, phase, _ in phases]
     store.close()

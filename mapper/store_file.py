@@ -1,0 +1,155 @@
+"""The file of the store: whose it is, its schema, and how an older one becomes a newer one."""
+
+import sqlite3
+from pathlib import Path
+from typing import Final
+
+from firmware_protocol.errors import RecordError
+from mapper.errors import StoreError
+
+APPLICATION_ID: Final = 0x42494F42
+"""In the header of every file of ours: "BIOB"."""
+SCHEMA_VERSION: Final = 2
+
+# The steps by which a file comes to each version from the one before; an empty file takes all of them.
+_STEPS: Final = {
+    1: """
+CREATE TABLE gateway (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE);
+CREATE TABLE source (
+  id INTEGER PRIMARY KEY,
+  gateway INTEGER NOT NULL REFERENCES gateway (id),
+  journal TEXT NOT NULL,
+  watermark INTEGER NOT NULL,
+  UNIQUE (gateway, journal)
+);
+CREATE TABLE span (
+  source INTEGER NOT NULL REFERENCES source (id),
+  first INTEGER NOT NULL,
+  last INTEGER NOT NULL,
+  PRIMARY KEY (source, first)
+) WITHOUT ROWID;
+CREATE TABLE record (
+  id INTEGER PRIMARY KEY,
+  gateway INTEGER NOT NULL REFERENCES gateway (id),
+  boot INTEGER NOT NULL,
+  sequence INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  kind INTEGER NOT NULL,
+  change INTEGER NOT NULL,
+  body BLOB NOT NULL,
+  UNIQUE (gateway, boot, sequence)
+);
+CREATE UNIQUE INDEX record_by_change ON record (kind, change);
+""",
+    # The last finished map, so that a restart has one at once.
+    2: """
+CREATE TABLE finished_map (
+  id INTEGER PRIMARY KEY CHECK (id = 1),
+  made_by TEXT NOT NULL,
+  change INTEGER NOT NULL,
+  document BLOB NOT NULL
+);
+""",
+}
+
+
+def open_store_file(path: Path | None) -> sqlite3.Connection:
+    """Open a store of records in the newest schema; make it if it is not there, and bring an older one up to date.
+
+    Parameters
+    ----------
+    path
+        None keeps everything in memory.
+
+    Raises
+    ------
+    StoreError
+        The file is none of ours, is from a newer version, is in use by another mapper, or cannot be opened.
+    """
+    if path is not None:
+        _refuse_foreign_file(path)
+    name = store_name(path)
+    try:
+        database = sqlite3.connect(":memory:" if path is None else path, isolation_level=None, check_same_thread=False, timeout=1.0)
+    except sqlite3.Error as error:
+        raise translate(error, path=name) from error
+    try:
+        _prepare(database, path=name)
+    except (sqlite3.Error, StoreError) as error:
+        database.close()
+        raise translate(error, path=name) from error
+    return database
+
+
+def store_name(path: Path | None) -> str:
+    """Name a store for people."""
+    return "the store in memory" if path is None else str(path)
+
+
+def translate(error: sqlite3.Error | RecordError | StoreError, *, path: str) -> StoreError:
+    """Say what is wrong with the file at ``path``, and what to do."""
+    if isinstance(error, StoreError):
+        return error
+    text = str(error)
+    if isinstance(error, RecordError):
+        return StoreError(path=path, reason=f"is damaged: {text}", next_step="name another file; gateways fill it again")
+    if "locked" in text:
+        return StoreError(path=path, reason="is in use by another mapper", next_step="stop that one, or name another file")
+    if "full" in text:
+        return StoreError(path=path, reason=f"cannot be written: {text}", next_step="make room on the disk")
+    return StoreError(path=path, reason=f"cannot be used: {text}", next_step="check path and permissions, or name another file")
+
+
+def _prepare(database: sqlite3.Connection, *, path: str) -> None:
+    # Only one mapper may write a file: its memory is in step with the file, and with no other process.
+    database.execute("PRAGMA locking_mode = EXCLUSIVE")
+    database.execute("PRAGMA journal_mode = WAL")
+    database.execute("PRAGMA synchronous = NORMAL")
+    database.execute("BEGIN IMMEDIATE")
+    (application_id,) = database.execute("PRAGMA application_id").fetchone()
+    (version,) = database.execute("PRAGMA user_version").fetchone()
+    (n_tables,) = database.execute("SELECT count(*) FROM sqlite_schema").fetchone()
+    if n_tables == 0 and application_id in {0, APPLICATION_ID}:
+        database.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        version = 0
+    elif application_id != APPLICATION_ID:
+        raise _foreign(path)
+    elif not 1 <= version <= SCHEMA_VERSION:
+        raise StoreError(
+            path=path,
+            reason=f"has schema version {version}, but this program knows {SCHEMA_VERSION}",
+            next_step="use the version of the program that made it, or name another file",
+        )
+    for step in range(version + 1, SCHEMA_VERSION + 1):
+        for statement in _STEPS[step].split(";"):
+            database.execute(statement)
+        database.execute(f"PRAGMA user_version = {step}")
+    database.execute("COMMIT")
+
+
+def _refuse_foreign_file(path: Path) -> None:
+    other = "name another file"
+    if path.is_dir():
+        raise StoreError(path=str(path), reason="is a directory", next_step="name a file in it")
+    if not path.parent.is_dir():
+        raise StoreError(path=str(path), reason=f"there is no directory {path.parent}", next_step="make it, or name another file")
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise StoreError(path=str(path), reason=f"cannot be read: {error.strerror}", next_step=other) from error
+    if header and not header.startswith(b"SQLite format 3\0"):
+        raise StoreError(path=str(path), reason="is not a store of records (no SQLite file)", next_step=other)
+    # https://www.sqlite.org/fileformat.html: page size in bytes 16 and 17 (1 means 65,536), application id in bytes 68 to 71. A
+    # file of ours has id 0 and one page until its first checkpoint.
+    page_size = int.from_bytes(header[16:18], "big")
+    application_id = int.from_bytes(header[68:72], "big")
+    is_young = application_id == 0 and path.stat().st_size <= (page_size if page_size > 1 else 65_536)
+    if header and application_id != APPLICATION_ID and not is_young:
+        raise _foreign(str(path))
+
+
+def _foreign(path: str) -> StoreError:
+    return StoreError(path=path, reason="is the SQLite file of another program", next_step="name another file")
