@@ -2,14 +2,13 @@
 
 Two kinds of distances: straight ones in a square with two obstacles, and those of the encounter metric in a simulated run. They are
 rounded to single precision first, because some programs count in it, so that all diagrams must be equal and are compared. Programs take
-turns in one process; medians are told, and how many times ours is faster. Ours includes numbering the edges and naming the births.
-Programs that are not installed are left out, with the reason (``pip install 'biobot-gateway[peers]'``).
+turns, all but giotto-ph in one process; medians are told, and how many times faster ours is. Ours includes numbering the edges and
+naming the births. What is not installed is left out, with the reason (``pip install -r requirements/peers.txt``).
 """
 
 import argparse
 import statistics
 import sys
-import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -19,6 +18,7 @@ from mapper.pipeline import compute_map
 from mapper.types import Method
 from simulator.arenas.scenarios import find_scenario
 from studies.errors import OtherDiagramError, StudyError
+from studies.giotto_peer import GiottoProgram
 from studies.rips_peers import Missing, Peer, find_dionysus, find_peers
 from studies.samples import measure_straight, sample_arena, spread
 from studies.trials import SETTINGS, simulate
@@ -49,13 +49,11 @@ def make_matrices(sizes: Sequence[int]) -> dict[str, tuple[Floats, ...]]:
 
 def time_in_turns(distances: Floats, peers: Mapping[str, Peer], *, rounds: int) -> tuple[dict[str, float], dict[str, Intervals]]:
     """Call every program once a round, after one call that does not count; return median wall times [s] and the intervals of each."""
-    found = {name: peer(distances) for name, peer in peers.items()}
+    found = {name: peer(distances)[1] for name, peer in peers.items()}
     taken: dict[str, list[float]] = {name: [] for name in peers}
     for _ in range(rounds):
         for name, peer in peers.items():
-            begin = time.perf_counter()
-            peer(distances)
-            taken[name].append(time.perf_counter() - begin)
+            taken[name].append(peer(distances)[0])
     return {name: statistics.median(times) for name, times in taken.items()}, found
 
 
@@ -96,17 +94,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         for kind, matrices in make_matrices(options.sizes).items():
             for distances in matrices:
-                matrix = f"{kind}, {len(distances)} points"
-                times, found = time_in_turns(distances, peers, rounds=options.rounds)
-                if len(distances) <= _MOST_FOR_DIONYSUS and dionysus:
-                    slow_times, slow_found = time_in_turns(distances, dionysus, rounds=1)
-                    times, found = times | slow_times, found | slow_found
-                check_equal(found, matrix=matrix)
-                _print_times(matrix, times)
+                slow = dionysus if len(distances) <= _MOST_FOR_DIONYSUS else {}
+                _compare(f"{kind}, {len(distances)} points", distances, peers, slow, rounds=options.rounds)
     except StudyError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    finally:
+        for peer in peers.values():
+            if isinstance(peer, GiottoProgram):
+                peer.close()
     return 0
+
+
+def _compare(matrix: str, distances: Floats, peers: Mapping[str, Peer], slow: Mapping[str, Peer], *, rounds: int) -> None:
+    times, found = time_in_turns(distances, peers, rounds=rounds)
+    slow_times, slow_found = time_in_turns(distances, slow, rounds=1)
+    check_equal(found | slow_found, matrix=matrix)
+    ours = next(iter(times.values()))
+    print(f"\n{matrix}; diagrams equal")
+    for name, seconds in (times | slow_times).items():
+        print(f"  {name:28} {1e3 * seconds:10.2f} ms  {seconds / ours:8.2f} x", flush=True)
 
 
 def _installed(peers: Mapping[str, Peer | Missing]) -> dict[str, Peer]:
@@ -114,13 +121,6 @@ def _installed(peers: Mapping[str, Peer | Missing]) -> dict[str, Peer]:
         if isinstance(peer, Missing):
             print(f"left out: {name}: {peer.reason}", file=sys.stderr)
     return {name: peer for name, peer in peers.items() if not isinstance(peer, Missing)}
-
-
-def _print_times(matrix: str, times: Mapping[str, float]) -> None:
-    ours = next(iter(times.values()))
-    print(f"\n{matrix}; diagrams equal")
-    for name, seconds in times.items():
-        print(f"  {name:28} {1e3 * seconds:10.2f} ms  {seconds / ours:8.2f} x", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""Other programs that compute Rips persistence, each behind one call: distances in, bars of dimensions 0 and 1 out."""
+"""Other programs that compute Rips persistence, each behind one call."""
 
 import importlib
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -9,10 +10,13 @@ import numpy as np
 from mapper.filtration import Filtration
 from mapper.persistence import rips_persistence
 from mapper.rips_engines import Pairs, pair_by_holos, pair_by_redzed
+from studies import giotto_peer
 from studies.truth import Floats, Intervals
 
-Peer = Callable[[Floats], Intervals]
-"""Births and deaths, shape (k, 2) each, in no particular order; those without length may be there."""
+Peer = Callable[[Floats], tuple[float, Intervals]]
+"""Takes distances; returns the seconds that it took, and births and deaths, in no particular order, those without length may be there."""
+
+_Computation = Callable[[Floats], Intervals]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,21 +33,24 @@ def find_peers() -> Mapping[str, Peer | Missing]:
     -----
     Every peer gets the enclosing radius where it does not find it by itself, and the field Z/2.
     """
-    makers: dict[str, tuple[Callable[[], Peer], str]] = {
+    makers: dict[str, tuple[Callable[[], _Computation], str]] = {
         "ours, redzed-tda": (lambda: _ours("redzed_tda", pair_by_redzed), "no wheel of redzed-tda here"),
         "ours, holos-tda": (lambda: _ours("holos_tda", pair_by_holos), "holos-tda is not installed"),
         "GUDHI, edge collapse": (_gudhi_collapse, "gudhi is not installed"),
         "GUDHI, RipsPersistence": (_gudhi_sklearn, "gudhi and scikit-learn are not installed"),
         "ripser.py": (_ripser, "ripser is not installed"),
-        "giotto-ph, 1 thread": (lambda: _giotto(1), "giotto-ph has no wheel after Python 3.12"),
-        "giotto-ph, 2 threads": (lambda: _giotto(2), "giotto-ph has no wheel after Python 3.12"),
     }
     peers: dict[str, Peer | Missing] = {}
     for name, (make, reason) in makers.items():
         try:
-            peers[name] = make()
+            peers[name] = _timed(make())
         except ImportError as error:
             peers[name] = Missing(reason=f"{reason} ({error})")
+    for name, n_threads in (("giotto-ph, 1 thread", 1), ("giotto-ph, 2 threads", 2)):
+        if giotto_peer.is_installed():
+            peers[name] = giotto_peer.GiottoProgram.start(n_threads=n_threads)
+        else:
+            peers[name] = Missing(reason="giotto-ph is not installed (it has no wheel after Python 3.12)")
     return peers
 
 
@@ -54,17 +61,26 @@ def find_dionysus() -> Mapping[str, Peer | Missing]:
     except ImportError as error:
         return {"Dionysus": Missing(reason=f"dionysus is not installed ({error}); it is built from source with Boost 1.81 or later")}
     return {
-        "Dionysus, all edges": lambda distances: _dionysus(distances, float(distances.max())),
-        "Dionysus, enclosing radius": lambda distances: _dionysus(distances, _enclosing_radius(distances)),
+        "Dionysus, all edges": _timed(lambda distances: _dionysus(distances, float(distances.max()))),
+        "Dionysus, enclosing radius": _timed(lambda distances: _dionysus(distances, _enclosing_radius(distances))),
     }
 
 
-def _ours(module: str, engine: Callable[[Filtration], Pairs]) -> Peer:
+def _timed(compute: _Computation) -> Peer:
+    def call(distances: Floats) -> tuple[float, Intervals]:
+        begin = time.perf_counter()
+        intervals = compute(distances)
+        return time.perf_counter() - begin, intervals
+
+    return call
+
+
+def _ours(module: str, engine: Callable[[Filtration], Pairs]) -> _Computation:
     importlib.import_module(module)
     return lambda distances: rips_persistence(distances, engine=engine).intervals
 
 
-def _gudhi_collapse() -> Peer:
+def _gudhi_collapse() -> _Computation:
     gudhi = importlib.import_module("gudhi")
 
     def compute(distances: Floats) -> Intervals:
@@ -78,7 +94,7 @@ def _gudhi_collapse() -> Peer:
     return compute
 
 
-def _gudhi_sklearn() -> Peer:
+def _gudhi_sklearn() -> _Computation:
     sklearn = importlib.import_module("gudhi.sklearn")
     rips = sklearn.RipsPersistence(homology_dimensions=[0, 1], input_type="full distance matrix", homology_coeff_field=2)
 
@@ -89,21 +105,11 @@ def _gudhi_sklearn() -> Peer:
     return compute
 
 
-def _ripser() -> Peer:
+def _ripser() -> _Computation:
     ripser = importlib.import_module("ripser")
 
     def compute(distances: Floats) -> Intervals:
         merges, loops = ripser.ripser(distances, distance_matrix=True, maxdim=1)["dgms"]
-        return _bars(merges), _bars(loops)
-
-    return compute
-
-
-def _giotto(n_threads: int) -> Peer:
-    gph = importlib.import_module("gph")
-
-    def compute(distances: Floats) -> Intervals:
-        merges, loops = gph.ripser_parallel(distances, metric="precomputed", maxdim=1, n_threads=n_threads)["dgms"]
         return _bars(merges), _bars(loops)
 
     return compute
