@@ -40,12 +40,7 @@ def shortest_odd_cycle(ends: IntArray, lengths: FloatArray, is_odd: BoolArray, *
     Of paths of equal length that from the lowest beginning counts.
     """
     is_odd = _save_marks(ends, is_odd, n_points=n_points)
-    a, b = ends.T
-    across = np.where(is_odd, n_points, 0)
-    begin, end = np.concatenate([a, a + n_points]), np.concatenate([b + across, b + n_points - across])
-    doubled = csr_array(
-        (np.tile(lengths, 4), (np.concatenate([begin, end]), np.concatenate([end, begin]))), shape=(2 * n_points, 2 * n_points)
-    )
+    doubled = _double(ends, lengths, is_odd, n_points=n_points)
     best, shortest = None, np.inf
     for point in _cover(ends[is_odd], n_points=n_points):
         length, before = dijkstra(doubled, indices=np.array([point]), return_predecessors=True, limit=shortest)
@@ -59,6 +54,17 @@ def shortest_odd_cycle(ends: IntArray, lengths: FloatArray, is_odd: BoolArray, *
     return best if best[1] < best[-1] else np.roll(best[::-1], 1)
 
 
+def _double(ends: IntArray, lengths: FloatArray, is_odd: BoolArray, *, n_points: int) -> csr_array:
+    """Make the graph of two copies of every point; sorting the edges here saves what scipy does for edges in any order."""
+    a, b = ends.astype(np.int32).T
+    across = np.where(is_odd, np.int32(n_points), np.int32(0))
+    begin, end = np.concatenate([a, a + n_points]), np.concatenate([b + across, b + n_points - across])
+    begin, end = np.concatenate([begin, end]), np.concatenate([end, begin])
+    order = np.argsort(begin, kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(begin, minlength=2 * n_points))])
+    return csr_array((np.tile(lengths, 4)[order], end[order], first.astype(np.int32)), shape=(2 * n_points, 2 * n_points))
+
+
 def _save_marks(ends: IntArray, is_odd: BoolArray, *, n_points: int) -> BoolArray:
     """Swap marked and other edges of one point after the other while that leaves fewer marked."""
     degree = np.bincount(ends.ravel(), minlength=n_points)
@@ -67,7 +73,7 @@ def _save_marks(ends: IntArray, is_odd: BoolArray, *, n_points: int) -> BoolArra
         point = int(saved.argmax())
         if saved[point] <= 0:
             return is_odd
-        is_odd = is_odd ^ (ends == point).any(axis=1)
+        is_odd = is_odd ^ (ends[:, 0] == point) ^ (ends[:, 1] == point)
 
 
 def _cover(marked: IntArray, *, n_points: int) -> list[int]:
@@ -75,7 +81,7 @@ def _cover(marked: IntArray, *, n_points: int) -> list[int]:
     chosen = []
     while len(marked):
         chosen.append(int(np.bincount(marked.ravel(), minlength=n_points).argmax()))
-        marked = marked[(marked != chosen[-1]).all(axis=1)]
+        marked = marked[(marked[:, 0] != chosen[-1]) & (marked[:, 1] != chosen[-1])]
     return sorted(chosen)
 
 
