@@ -10,7 +10,7 @@ from mapper.embedding import embed_in_plane
 from mapper.encounter_graph import EncounterGraph
 from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, times_to
 from mapper.outliers import keep_inliers
-from mapper.outlines import outline_hole
+from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
 from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
@@ -78,13 +78,8 @@ def map_component(
     embedding = embed_in_plane(lengths)
     merges, loops = diagram.intervals
     holes = tuple(
-        Hole(
-            component=index,
-            birth=float(loops[row, 0]),
-            death=float(loops[row, 1]),
-            outline=outline_hole(lengths, (int(diagram.birth_edges[row, 0]), int(diagram.birth_edges[row, 1]))),
-        )
-        for row in np.flatnonzero(real[1])
+        Hole(component=index, birth=birth, death=death, outline=outline)
+        for (birth, death), outline in zip(loops[real[1]].tolist(), outline_holes(lengths, diagram, np.flatnonzero(real[1])), strict=True)
     )
     if recipe.epsilon_share is None:
         epsilon = choose_epsilon(loops[real[1]], loops[~real[1]], merges[np.isfinite(merges[:, 1]), 1])

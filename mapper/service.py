@@ -26,7 +26,7 @@ from mapper.fleet import Fleet
 from mapper.intake import Intake
 from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
-from mapper.persistence import name_engine
+from mapper.rips_engines import name_engine
 from mapper.store_thread import StoreThread
 from mapper.types import Method, MetricKind
 

@@ -68,9 +68,9 @@ def _warm_up() -> Warmth:
     moments = [time.perf_counter()]
     from mapper.config import RecipeConfig, make_recipe  # noqa: PLC0415  # what is imported here is timed
     from mapper.kernels import choose_kernels  # noqa: PLC0415  # same
-    from mapper.persistence import name_engine  # noqa: PLC0415  # same
     from mapper.pipeline import compute_map  # noqa: PLC0415  # same
     from mapper.report import to_json_object  # noqa: PLC0415  # same
+    from mapper.rips_engines import name_engine  # noqa: PLC0415  # same
     from mapper.window import make_encounter_table, stationary_spells  # noqa: PLC0415  # same
 
     kernels, persistence = choose_kernels(), name_engine()

@@ -145,3 +145,11 @@ class WorkerLostError(StudyError):
         super().__init__(
             f"a computing process was lost ({problem}); what is done is kept: run fewer at once with --jobs, and run this again"
         )
+
+
+class OtherDiagramError(StudyError):
+    """A program gives another diagram than ours: report it."""
+
+    def __init__(self, *, peer: str, matrix: str, dimension: int) -> None:
+        super().__init__(f"{peer} gives other intervals of dimension {dimension} than ours for {matrix}; report it with both versions")
+        self.peer = peer

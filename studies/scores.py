@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import gudhi
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -21,6 +20,7 @@ from mapper.embedding import embed_in_plane
 from mapper.errors import MapError
 from mapper.types import MapResult
 from simulator.errors import SimulationError
+from studies.bottleneck import bottleneck_distance
 from studies.comparison import fit_similarity
 from studies.errors import MapFileError, StudyError
 from studies.located_map import LocatedMap, find_map
@@ -112,7 +112,7 @@ def score_map(map_: MapResult | Mapping[str, object], run_directory: Path, *, sp
     StudyError
         The map is no map, or not of this run, or the directory is incomplete.
     MapError, SimulationError
-        A file of the run is faulty.
+        A file of the run is faulty, or no engine for persistence is installed.
 
     Notes
     -----
@@ -243,7 +243,7 @@ def _read_map(path: Path) -> Mapping[str, object]:
 
 def _bottleneck(found: Intervals, true: Intervals, dimension: int) -> float:
     finite = [intervals[np.isfinite(intervals[:, 1])] for intervals in (found[dimension], true[dimension])]
-    return float(gudhi.bottleneck_distance(finite[0], finite[1]))
+    return bottleneck_distance(finite[0], finite[1])
 
 
 def _metric_errors(located: LocatedMap, exact: Floats) -> tuple[float | None, float | None]:

@@ -15,7 +15,7 @@ from mapper.current_map import CurrentMap
 from mapper.fleet import Fleet
 from mapper.intake import Intake
 from mapper.kernels import choose_kernels
-from mapper.persistence import name_engine
+from mapper.rips_engines import name_engine
 from mapper.store import Store
 from mapper.store_thread import StoreThread
 from tests.mapper.fake_gateway import SITE

@@ -1,5 +1,6 @@
 """``biobot-mapper run`` as a person and a program see it."""
 
+import importlib.util
 import json
 import os
 import re
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from mapper.__main__ import main
-from mapper.persistence import name_engine
+from mapper.rips_engines import name_engine
 from tests.mapper.worlds import NS, walk_track
 
 HEADER = "t_start_s,t_end_s,id1,id2\n"
@@ -121,12 +122,42 @@ def test_a_bad_row_shows_no_traceback_in_a_process_of_its_own(tmp_path: Path) ->
     assert done.stderr.endswith("and 2 more\n")
 
 
-def test_without_the_persistence_engine_the_message_says_what_to_do(ring: Path) -> None:
-    code = "import sys; sys.modules['gudhi'] = None; from mapper.__main__ import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, "run", str(ring / "encounters.csv")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+# Refuses to import some libraries, as where they are not installed.
+REFUSE = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class Refuse(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {refused!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Refuse())
+from mapper.__main__ import main
+sys.exit(main())
+"""
+
+
+def _run_without(refused: set[str], *arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", REFUSE.format(refused=refused), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_the_map_is_the_same_with_every_engine_and_without_gudhi(ring: Path) -> None:
+    maps = []
+    for other, engine in (("redzed_tda", "holos_tda"), ("holos_tda", "redzed_tda")):
+        if importlib.util.find_spec(engine) is not None:
+            done = _run_without({"gudhi", other}, "run", ring / "encounters.csv", "--modes", ring / "modes.csv", "--json", "-")
+            assert (done.returncode, done.stderr) == (0, "")
+            maps.append(json.loads(done.stdout))
+    assert maps[0]["holes"]
+    assert all(other == maps[0] for other in maps)
+
+
+def test_without_a_persistence_engine_the_message_says_what_to_do(ring: Path) -> None:
+    done = _run_without({"gudhi", "redzed_tda", "holos_tda"}, "run", ring / "encounters.csv")
     assert done.returncode == 1
-    assert done.stderr.startswith("biobot-mapper: error: gudhi is not installed, but persistence needs it; pip install")
+    assert done.stderr.startswith("biobot-mapper: error: holos-tda is not installed, but persistence needs it; pip install holos-tda")
 
 
 def test_warm_up_makes_a_map_of_a_known_place_and_names_what_makes_it() -> None:
@@ -146,10 +177,11 @@ def test_warm_up_is_quiet_where_all_is_well_and_tells_of_slow_kernels_where_not(
     assert slow.stderr.startswith("biobot-mapper: warning: plain kernels, 7 to 50 times slower than compiled ones: they were asked for")
 
 
-@pytest.mark.parametrize("library", ["gudhi", "scipy", "matplotlib"])
-def test_warm_up_fails_where_a_library_is_missing(library: str) -> None:
-    code = f"import sys; sys.modules[{library!r}] = None; from mapper.__main__ import main; sys.exit(main(['warm-up']))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+@pytest.mark.parametrize(
+    ("refused", "library"), [({"redzed_tda", "holos_tda"}, "holos-tda"), ({"scipy"}, "scipy"), ({"matplotlib"}, "matplotlib")]
+)
+def test_warm_up_fails_where_a_library_is_missing(refused: set[str], library: str) -> None:
+    done = _run_without(refused, "warm-up")
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith(f"biobot-mapper: error: {library} is not installed, but ")
     assert "pip install" in done.stderr

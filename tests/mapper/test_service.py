@@ -14,7 +14,7 @@ import pytest
 
 from firmware_protocol.contract.records import EncounterRecord
 from mapper.__main__ import main
-from mapper.persistence import name_engine
+from mapper.rips_engines import name_engine
 from tests.mapper.fake_gateway import FakeGateway, encounter, free_port
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import STOP_S, serving

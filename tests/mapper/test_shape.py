@@ -1,4 +1,4 @@
-"""Persistence, Betti numbers, embedding, outlines and the drawn complex, on point sets of known shape."""
+"""Persistence, Betti numbers, embedding and the drawn complex, on point sets of known shape."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from mapper.betti import judge_intervals, load_trained_rules
 from mapper.embedding import embed_in_plane
-from mapper.outlines import outline_hole
 from mapper.persistence import rips_persistence
 from mapper.skeleton import build_skeleton, choose_epsilon
 from mapper.types import BettiRule, BettiRuleKind, FloatArray, Method, MetricKind
@@ -80,28 +79,6 @@ def test_loops_are_sorted_and_born_by_the_edge_that_is_named(points: list[tuple[
     assert (deaths > births).all()
     assert (np.diff(deaths - births) <= 0).all()
     assert np.array_equal(distances[tuple(diagram.birth_edges.T)], births)
-
-
-@given(POINTS)
-def test_every_loop_has_an_outline_of_edges_no_longer_than_its_birth(points: list[tuple[float, float]]) -> None:
-    distances = _between(np.unique(np.array(points), axis=0))
-    diagram = rips_persistence(distances)
-    for birth, edge in zip(diagram.intervals[1][:, 0], diagram.birth_edges.tolist(), strict=True):
-        outline = outline_hole(distances, (edge[0], edge[1]))
-        assert (outline[0], outline[-1]) == (edge[0], edge[1])
-        assert len(set(outline.tolist())) == len(outline) >= 4
-        assert (distances[outline, np.roll(outline, -1)] <= birth).all()
-
-
-def test_the_outline_of_a_ring_goes_around_it() -> None:
-    distances = _between(_ring(24))
-    edge = rips_persistence(distances).birth_edges[0]
-    assert sorted(outline_hole(distances, (int(edge[0]), int(edge[1]))).tolist()) == list(range(24))
-
-
-def test_an_edge_that_closes_no_loop_has_no_outline() -> None:
-    with pytest.raises(ValueError, match="gave birth to no loop"):
-        outline_hole(np.array([[0.0, 1.0], [1.0, 0.0]]), (0, 1))
 
 
 def _loops(*lengths: float, birth: float = 1.0) -> FloatArray:
