@@ -56,6 +56,9 @@ theory: venv  ## compare motion, meetings and walls with theory, and encounters 
 bench-sim: venv  ## how fast the simulator is on one core, beside Mesa (minutes)
 	$(PY) -m studies.bench_sim $(ARGS)
 
+bench-map: venv  ## how fast maps are made, beside the plain ways (ten minutes; ARGS="--quick")
+	$(PY) -m studies.bench_map $(ARGS)
+
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)
 
@@ -72,4 +75,4 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) simulator/engine/*.so mapper/kernels/*.so build dist demo-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim campaign-walls check-kernels lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map campaign-walls check-kernels lock docker-check clean
