@@ -17,30 +17,33 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
+from math import inf
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
+from mapper.types import KernelsKind
 from studies.errors import BenchmarkError
 from studies.long_run import cut_run
 from studies.map_measures import (
     Arrays,
     Bench,
     Comparison,
-    Kernels,
     MapTiming,
     PeerTiming,
+    affordable_repeats,
     compare_with_all_pairs,
     compare_with_dijkstra,
     compare_with_plain,
     find_differences,
     judge,
+    sum_distances,
 )
 from studies.map_report import to_markdown
 from studies.map_timing import CASES
 
-KERNELS_VARIABLE = "BIOBOT_KERNELS"
+_KERNELS_VARIABLE = "BIOBOT_KERNELS"
 
 _SIZES = (10_000, 30_000, 100_000, 300_000, 1_000_000, 3_000_000)
 _QUICK_SIZES = (2_000, 10_000)
@@ -53,12 +56,14 @@ _PLAIN_CASES = ("paper", "default")
 _MOST_PLAIN = 100_000
 _MOST_IN_FULL = 1_000_000
 _REPEATS = 5
+_PATIENCE_S = 300.0
 
 
 class _Run(msgspec.Struct, frozen=True):
-    total_s: float
-    cpu_s: float
-    stages_s: dict[str, float]
+    """Seconds of one map by stage."""
+
+    wall_s: dict[str, float]
+    core_s: dict[str, float]
 
 
 class _MapsTold(msgspec.Struct, frozen=True):
@@ -72,8 +77,8 @@ class _MapsTold(msgspec.Struct, frozen=True):
 class _PeerTold(msgspec.Struct, frozen=True):
     """What `studies.plain_paths` prints."""
 
-    seconds: float
-    points: int
+    wall_s: float
+    core_s: float
     peak_bytes: int
 
 
@@ -93,6 +98,8 @@ class Effort:
         Encounters up to which the scipy peer makes all its searches.
     most_plain
         Encounters up to which the plain kernels make maps.
+    patience_s
+        What maps of one case and size may take, as reckoned by squares from the size before [s].
     """
 
     sizes: tuple[int, ...] = _SIZES
@@ -100,6 +107,7 @@ class Effort:
     sources: int = 4
     most_searched: int = _MOST_SEARCHED
     most_plain: int = _MOST_PLAIN
+    patience_s: float = _PATIENCE_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,6 +117,15 @@ class _Records:
     maps: list[MapTiming] = field(default_factory=list)
     peers: list[PeerTiming] = field(default_factory=list)
     comparisons: list[Comparison] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+
+    def repeats(self, case: str, kernels: KernelsKind, size: int, *, wanted: int, patience_s: float) -> int:
+        """Say how many maps can be waited for after what was measured, and note what cannot."""
+        before = next((timing for timing in reversed(self.maps) if (timing.case, timing.kernels) == (case, kernels)), None)
+        repeats = wanted if before is None else affordable_repeats(before, size, wanted=wanted, patience_s=patience_s)
+        if before is not None and not repeats:
+            self.left_out.append(f"{case}, {kernels} kernels, {size:,} encounters ({before.total_s:.3g} s at {before.encounters:,})")
+        return repeats
 
 
 def measure(effort: Effort, *, seed: int, cache: Path) -> Bench:
@@ -142,48 +159,56 @@ def measure(effort: Effort, *, seed: int, cache: Path) -> Bench:
         maps=tuple(records.maps),
         peers=tuple(records.peers),
         comparisons=tuple(records.comparisons),
+        left_out=tuple(records.left_out),
     )
 
 
 def _measure_size(size: int, cut: Path, effort: Effort, records: _Records, *, results: Path) -> None:
     found: dict[str, tuple[MapTiming, Arrays]] = {}
     for case in CASES:
-        found[case] = _time_maps(cut, case, size=size, kernels=Kernels.COMPILED, repeats=effort.repeats, results=results)
-        records.maps.append(found[case][0])
-    paper, paper_map = found["paper"]
+        repeats = records.repeats(case, KernelsKind.COMPILED, size, wanted=effort.repeats, patience_s=effort.patience_s)
+        if repeats:
+            found[case] = _time_maps(cut, case, size=size, kernels=KernelsKind.COMPILED, repeats=repeats, results=results)
+            records.maps.append(found[case][0])
 
-    searched = _POINTS if size <= effort.most_searched else effort.sources
-    peer, sample = _time_peer(cut, "dijkstra", size=size, searched=searched, results=results)
-    records.peers.append(peer)
     # Without the filter every encounter can be picked, as by the peer; the work that is timed is the same with it.
-    records.comparisons.append(compare_with_dijkstra(paper, peer, differences=find_differences(found["paper, all kept"][1], sample)))
+    if {"paper", "paper, all kept"} <= found.keys():
+        searched = _POINTS if size <= effort.most_searched else effort.sources
+        peer, sample = _time_peer(cut, "dijkstra", size=size, searched=searched, results=results)
+        records.peers.append(peer)
+        differences = find_differences(found["paper, all kept"][1], sample)
+        records.comparisons.append(compare_with_dijkstra(found["paper"][0], peer, differences=differences))
 
-    if size <= _MOST_ALL_PAIRS:
+    if size <= _MOST_ALL_PAIRS and "paper" in found:
+        paper, paper_map = found["paper"]
         peer, sample = _time_peer(cut, "all-pairs", size=size, searched=_POINTS, results=results)
         records.peers.append(peer)
         records.comparisons.append(compare_with_all_pairs(paper, peer, differences=find_differences(paper_map, sample)))
 
-    if size <= effort.most_plain:
-        for case in _PLAIN_CASES:
-            plain, plain_map = _time_maps(cut, case, size=size, kernels=Kernels.PLAIN, repeats=1, results=results)
+    for case in _PLAIN_CASES:
+        repeats = records.repeats(case, KernelsKind.PLAIN, size, wanted=1, patience_s=effort.patience_s) if size <= effort.most_plain else 0
+        if repeats and case in found:
+            plain, plain_map = _time_maps(cut, case, size=size, kernels=KernelsKind.PLAIN, repeats=repeats, results=results)
             records.maps.append(plain)
             compiled, compiled_map = found[case]
             records.comparisons.append(compare_with_plain(compiled, plain, differences=find_differences(compiled_map, plain_map)))
 
 
-def _time_maps(cut: Path, case: str, *, size: int, kernels: Kernels, repeats: int, results: Path) -> tuple[MapTiming, Arrays]:
+def _time_maps(cut: Path, case: str, *, size: int, kernels: KernelsKind, repeats: int, results: Path) -> tuple[MapTiming, Arrays]:
     result = results / "map.npz"
     arguments = ["studies.map_timing", str(cut), case, "--repeats", str(repeats), "--result", str(result)]
     told = msgspec.json.decode(_run(arguments, kernels=kernels), type=_MapsTold)
-    stages = dict.fromkeys(stage for run in told.runs for stage in run.stages_s)
+    stages = dict.fromkeys(stage for run in told.runs for stage in run.wall_s)
     timing = MapTiming(
         case=case,
         kernels=kernels,
         encounters=size,
         repeats=repeats,
-        total_s=statistics.median(run.total_s for run in told.runs),
-        cpu_s=statistics.median(run.cpu_s for run in told.runs),
-        stages_s={stage: statistics.median(run.stages_s.get(stage, 0.0) for run in told.runs) for stage in stages},
+        total_s=statistics.median(sum(run.wall_s.values()) for run in told.runs),
+        core_s=statistics.median(sum(run.core_s.values()) for run in told.runs),
+        stages_s={stage: statistics.median(run.wall_s.get(stage, 0.0) for run in told.runs) for stage in stages},
+        distances_s=statistics.median(sum_distances(run.wall_s) for run in told.runs),
+        distances_core_s=statistics.median(sum_distances(run.core_s) for run in told.runs),
         peak_bytes=told.peak_bytes,
         points=told.points,
     )
@@ -194,31 +219,30 @@ def _time_maps(cut: Path, case: str, *, size: int, kernels: Kernels, repeats: in
 def _time_peer(cut: Path, way: str, *, size: int, searched: int, results: Path) -> tuple[PeerTiming, Arrays]:
     result = results / "peer.npz"
     arguments = ["studies.plain_paths", str(cut), way, "--points", str(searched), "--result", str(result)]
-    told = msgspec.json.decode(_run(arguments, kernels=Kernels.COMPILED), type=_PeerTold)
+    told = msgspec.json.decode(_run(arguments, kernels=KernelsKind.COMPILED), type=_PeerTold)
     timing = PeerTiming(
         way=way,
         encounters=size,
-        seconds=told.seconds * _POINTS / searched,
+        wall_s=told.wall_s * _POINTS / searched,
+        core_s=told.core_s * _POINTS / searched,
         points=_POINTS,
         searched=searched,
         peak_bytes=told.peak_bytes,
     )
     is_part = "" if searched == _POINTS else f", reckoned from {searched} searches"
-    _tell(f"{size:,} encounters, scipy, {way}: {timing.seconds:.3g} s{is_part}, {timing.peak_bytes / 1e9:.2f} GB")
+    _tell(f"{size:,} encounters, scipy, {way}: {timing.wall_s:.3g} s{is_part}, {timing.peak_bytes / 1e9:.2f} GB")
     return timing, _load(result)
 
 
 def _time_start(cut: Path) -> float:
     begun = time.perf_counter()
-    _run(["studies.map_timing", str(cut), _START_CASE, "--repeats", "1", "--cold"], kernels=Kernels.COMPILED)
+    _run(["studies.map_timing", str(cut), _START_CASE, "--repeats", "1", "--cold"], kernels=KernelsKind.COMPILED)
     return time.perf_counter() - begun
 
 
-def _run(arguments: Sequence[str], *, kernels: Kernels) -> bytes:
+def _run(arguments: Sequence[str], *, kernels: KernelsKind) -> bytes:
     """Run a module of ours in a fresh process, and return what it printed."""
-    environment = {name: value for name, value in os.environ.items() if name != KERNELS_VARIABLE}
-    if kernels is Kernels.PLAIN:
-        environment[KERNELS_VARIABLE] = kernels.value
+    environment = {**os.environ, _KERNELS_VARIABLE: kernels.value}
     command = [sys.executable, "-m", *arguments]
     done = subprocess.run(command, capture_output=True, check=False, env=environment)
     if done.returncode:
@@ -285,6 +309,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         repeats=options.repeats or (1 if options.quick else _REPEATS),
         most_searched=_MOST_IN_FULL if options.full else _MOST_SEARCHED,
         most_plain=_MOST_IN_FULL if options.full else _MOST_PLAIN,
+        patience_s=inf if options.full else _PATIENCE_S,
     )
     with tempfile.TemporaryDirectory(prefix="biobot-tables-") as directory:
         bench = measure(effort, seed=options.seed, cache=options.cache or Path(directory))

@@ -2,12 +2,11 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from math import log
 
 import numpy as np
 
-from mapper.types import FloatArray, IntArray
+from mapper.types import FloatArray, IntArray, KernelsKind
 
 Arrays = Mapping[str, FloatArray | IntArray]
 """What a measured process left in its file, by name."""
@@ -25,40 +24,45 @@ _LEAST_TO_FIT = 3
 _REL, _ABS = 1e-9, 1e-9  # sums in another order may differ in the last places; the second is a share of the diameter
 
 
-class Kernels(StrEnum):
-    """Which kernels made a map: those that are compiled, where there are any, or plain numpy and scipy."""
-
-    COMPILED = "compiled"
-    PLAIN = "plain"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapTiming:
-    """Maps of one table by one case of `studies.map_timing`: medians [s], the peak of memory [bytes], and points of the subsample."""
+    """Maps of one table by one case of `studies.map_timing`.
+
+    Parameters
+    ----------
+    total_s, core_s
+        Medians of whole maps, by the wall's clock and of all cores [s].
+    stages_s
+        Medians of stages by the wall's clock [s].
+    distances_s, distances_core_s
+        Medians of ``DISTANCE_STAGES`` together, by the wall's clock and of all cores [s].
+    peak_bytes
+        Of the process.
+    points
+        Of the subsample.
+    """
 
     case: str
-    kernels: Kernels
+    kernels: KernelsKind
     encounters: int
     repeats: int
     total_s: float
-    cpu_s: float
+    core_s: float
     stages_s: dict[str, float]
+    distances_s: float
+    distances_core_s: float
     peak_bytes: int
     points: int
-
-    @property
-    def distances_s(self) -> float:
-        """Seconds of the stages from the graph to the distances of the subsample, without the filter of outliers."""
-        return sum(self.stages_s.get(stage, 0.0) for stage in DISTANCE_STAGES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeerTiming:
-    """One plain way: ``seconds`` for ``points`` points, ``searched`` of them measured and the rest reckoned in proportion."""
+    """One plain way to ``points`` points, ``searched`` of them measured and the rest reckoned in proportion [s]."""
 
     way: str
     encounters: int
-    seconds: float
+    wall_s: float
+    core_s: float
     points: int
     searched: int
     peak_bytes: int
@@ -66,19 +70,34 @@ class PeerTiming:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """How many times as fast as another way, and in what the results differ (nothing, if all is well)."""
+    """How many times as fast as another way, and in what the results differ (nothing, if all is well).
+
+    Parameters
+    ----------
+    ours_s, theirs_s
+        By the wall's clock [s].
+    ours_core_s, theirs_core_s
+        Of all cores [s].
+    """
 
     name: str
     encounters: int
     ours_s: float
     theirs_s: float
+    ours_core_s: float
+    theirs_core_s: float
     note: str
     differences: tuple[str, ...]
     target: float | None = None
 
     @property
     def ratio(self) -> float:
-        """Their seconds over ours."""
+        """Their time of cores over ours: what others do on the machine costs it little, and second threads gain nothing."""
+        return self.theirs_core_s / self.ours_core_s
+
+    @property
+    def wall_ratio(self) -> float:
+        """Their time over ours by the wall's clock."""
         return self.theirs_s / self.ours_s
 
 
@@ -98,7 +117,7 @@ class Bench:
     """All that was measured in one run.
 
     ``machine`` says where and when, in words. ``start_s`` are seconds from the start of a process to the end of its first map.
-    ``load`` is the machine's load average over a minute before and after.
+    ``load`` is the machine's load average over a minute before and after. ``left_out`` says what would have taken too long.
     """
 
     machine: dict[str, str]
@@ -109,6 +128,18 @@ class Bench:
     maps: tuple[MapTiming, ...]
     peers: tuple[PeerTiming, ...]
     comparisons: tuple[Comparison, ...]
+    left_out: tuple[str, ...]
+
+
+def affordable_repeats(before: MapTiming, encounters: int, *, wanted: int, patience_s: float) -> int:
+    """Say how many maps of a larger table, 0 to ``wanted``, take no longer than ``patience_s`` if their cost grows as N^2 at worst."""
+    expected_s = before.total_s * (encounters / before.encounters) ** 2
+    return 0 if expected_s > patience_s else max(1, int(min(wanted, patience_s / expected_s)))
+
+
+def sum_distances(seconds: Mapping[str, float]) -> float:
+    """Add the seconds of ``DISTANCE_STAGES``."""
+    return sum(seconds.get(stage, 0.0) for stage in DISTANCE_STAGES)
 
 
 def compare_with_dijkstra(paper: MapTiming, peer: PeerTiming, *, differences: tuple[str, ...]) -> Comparison:
@@ -118,7 +149,9 @@ def compare_with_dijkstra(paper: MapTiming, peer: PeerTiming, *, differences: tu
         name="paper, landmarks to distances, over scipy's Dijkstra per point",
         encounters=peer.encounters,
         ours_s=paper.distances_s,
-        theirs_s=peer.seconds,
+        theirs_s=peer.wall_s,
+        ours_core_s=paper.distances_core_s,
+        theirs_core_s=peer.core_s,
         note=note,
         differences=differences,
         target=_DIJKSTRA_RATIO.get(peer.encounters),
@@ -131,7 +164,9 @@ def compare_with_all_pairs(paper: MapTiming, peer: PeerTiming, *, differences: t
         name="paper, whole map, over the literal N x N way to its distances",
         encounters=peer.encounters,
         ours_s=paper.total_s,
-        theirs_s=peer.seconds,
+        theirs_s=peer.wall_s,
+        ours_core_s=paper.core_s,
+        theirs_core_s=peer.core_s,
         note=f"{peer.peak_bytes / 1e9:.2f} GB",
         differences=differences,
         target=_ALL_PAIRS_RATIO.get(peer.encounters),
@@ -145,6 +180,8 @@ def compare_with_plain(compiled: MapTiming, plain: MapTiming, *, differences: tu
         encounters=plain.encounters,
         ours_s=compiled.total_s,
         theirs_s=plain.total_s,
+        ours_core_s=compiled.core_s,
+        theirs_core_s=plain.core_s,
         note=f"{plain.peak_bytes / 1e9:.2f} GB",
         differences=differences,
     )
@@ -185,7 +222,7 @@ def exponents(bench: Bench) -> dict[str, tuple[float, float]]:
     """Fit every case of compiled kernels: exponent of its cost, and that of N log N over the same sizes; without sizes enough, none."""
     found = {}
     for case in dict.fromkeys(timing.case for timing in bench.maps):
-        own = [timing for timing in bench.maps if timing.case == case and timing.kernels is Kernels.COMPILED]
+        own = [timing for timing in bench.maps if timing.case == case and timing.kernels is KernelsKind.COMPILED]
         sizes = [timing.encounters for timing in own]
         if len(own) < _LEAST_TO_FIT:
             continue
@@ -197,7 +234,7 @@ def judge(bench: Bench) -> tuple[Verdict, ...]:
     """Hold what was measured against what is wanted, as far as it was measured."""
     verdicts = []
     for timing in bench.maps:
-        if timing.case != "paper" or timing.kernels is not Kernels.COMPILED:
+        if timing.case != "paper" or timing.kernels is not KernelsKind.COMPILED:
             continue
         if (limit_s := _TOTAL_S.get(timing.encounters)) is not None:
             name = f"map of {timing.encounters:,} encounters"

@@ -17,16 +17,17 @@ def to_markdown(bench: Bench) -> str:
         f"{about}; load average {bench.load[0]:.1f} before and {bench.load[1]:.1f} after; seed {bench.seed}.",
         "From encounters in memory to distance matrix, diagrams and embedding: medians of whole maps in a process of their own [ms].",
         _stages(bench),
-        "Ratios, measured in turn on the same tables; results compared point by point.",
+        "Ratios of cores' time, which other programs disturb less, and by the wall's clock; results compared point by point.",
         _table(
-            ("what", "encounters", "ours [s]", "theirs [s]", "ratio", "theirs", "results"),
+            ("what", "encounters", "ours [core s]", "theirs [core s]", "ratio", "by the clock", "theirs", "results"),
             [
                 (
                     one.name,
                     f"{one.encounters:,}",
-                    f"{one.ours_s:.3g}",
-                    f"{one.theirs_s:.3g}",
-                    f"**{one.ratio:,.1f}**" if one.ratio < 10 else f"**{one.ratio:,.0f}**",
+                    f"{one.ours_core_s:.3g}",
+                    f"{one.theirs_core_s:.3g}",
+                    f"**{_ratio(one.ratio)}**",
+                    _ratio(one.wall_ratio),
                     one.note,
                     "; ".join(one.differences) or "equal",
                 )
@@ -34,6 +35,7 @@ def to_markdown(bench: Bench) -> str:
             ],
         ),
         f"From the start of a process to its first map, of {bench.start_encounters:,} encounters: {start_s} s.",
+        *([f"Left out, because it would have taken too long: {'; '.join(bench.left_out)}."] if bench.left_out else []),
         _verdicts(judge(bench)),
     ]
     return "\n\n".join(parts)
@@ -41,7 +43,7 @@ def to_markdown(bench: Bench) -> str:
 
 def _stages(bench: Bench) -> str:
     names = list(dict.fromkeys(stage for timing in bench.maps for stage in timing.stages_s))
-    header = ("case", "kernels", "encounters", *("rest" if name == _REST else name for name in names), "total", "core", "memory", "points")
+    header = ("case", "kernels", "encounters", *("rest" if name == _REST else name for name in names), "total", "cores", "memory", "points")
     rows = [
         (
             timing.case,
@@ -49,7 +51,7 @@ def _stages(bench: Bench) -> str:
             f"{timing.encounters:,}",
             *(_ms(timing.stages_s.get(name, 0.0)) for name in names),
             f"**{_ms(timing.total_s)}**",
-            _ms(timing.cpu_s),
+            _ms(timing.core_s),
             f"{timing.peak_bytes / 1e9:.2f} GB",
             timing.points,
         )
@@ -61,6 +63,10 @@ def _stages(bench: Bench) -> str:
 def _verdicts(verdicts: Sequence[Verdict]) -> str:
     rows = [(one.name, one.got, one.wanted, "met" if one.is_met else "**missed**") for one in verdicts]
     return _table(("wanted", "got", "limit", ""), rows)
+
+
+def _ratio(value: float) -> str:
+    return f"{value:,.1f}" if value < 10 else f"{value:,.0f}"
 
 
 def _ms(seconds: float) -> str:
