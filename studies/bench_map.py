@@ -23,7 +23,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mapper.types import KernelsKind
+from mapper.types import KernelsKind, Method
 from studies.errors import BenchmarkError
 from studies.long_run import cut_run
 from studies.map_measures import (
@@ -90,6 +90,8 @@ class Effort:
     ----------
     sizes
         Encounters of the tables, ascending.
+    cases
+        Of ``CASES``, those that are timed.
     repeats
         Maps of each case; medians count.
     sources
@@ -103,6 +105,7 @@ class Effort:
     """
 
     sizes: tuple[int, ...] = _SIZES
+    cases: tuple[str, ...] = tuple(CASES)
     repeats: int = _REPEATS
     sources: int = 4
     most_searched: int = _MOST_SEARCHED
@@ -165,7 +168,7 @@ def measure(effort: Effort, *, seed: int, cache: Path) -> Bench:
 
 def _measure_size(size: int, cut: Path, effort: Effort, records: _Records, *, results: Path) -> None:
     found: dict[str, tuple[MapTiming, Arrays]] = {}
-    for case in CASES:
+    for case in effort.cases:
         repeats = records.repeats(case, KernelsKind.COMPILED, size, wanted=effort.repeats, patience_s=effort.patience_s)
         if repeats:
             found[case] = _time_maps(cut, case, size=size, kernels=KernelsKind.COMPILED, repeats=repeats, results=results)
@@ -185,9 +188,9 @@ def _measure_size(size: int, cut: Path, effort: Effort, records: _Records, *, re
         records.peers.append(peer)
         records.comparisons.append(compare_with_all_pairs(paper, peer, differences=find_differences(paper_map, sample)))
 
-    for case in _PLAIN_CASES:
-        repeats = records.repeats(case, KernelsKind.PLAIN, size, wanted=1, patience_s=effort.patience_s) if size <= effort.most_plain else 0
-        if repeats and case in found:
+    for case in (case for case in _PLAIN_CASES if case in found and size <= effort.most_plain):
+        repeats = records.repeats(case, KernelsKind.PLAIN, size, wanted=1, patience_s=effort.patience_s)
+        if repeats:
             plain, plain_map = _time_maps(cut, case, size=size, kernels=KernelsKind.PLAIN, repeats=repeats, results=results)
             records.maps.append(plain)
             compiled, compiled_map = found[case]
@@ -296,6 +299,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the report; exit status 1 where results differ, or with ``--check`` where a wanted ratio is missed."""
     parser = argparse.ArgumentParser(prog="python -m studies.bench_map", description="How fast maps are made, beside the plain ways.")
     parser.add_argument("--sizes", type=_parse_sizes, metavar="N,N", help="encounters, as 10000,1e6 (default: 10,000 to 3,000,000)")
+    parser.add_argument("--method", choices=list(Method), help="the cases of this method alone (default: both)")
     parser.add_argument("--repeats", type=_parse_count, metavar="R", help=f"maps of each case (default: {_REPEATS})")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the simulated run (default: %(default)s)")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="keep the tables here (default: made anew every time)")
@@ -306,6 +310,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     effort = Effort(
         sizes=options.sizes or (_QUICK_SIZES if options.quick else _SIZES),
+        cases=tuple(case for case, recipe in CASES.items() if options.method in {None, recipe.method}),
         repeats=options.repeats or (1 if options.quick else _REPEATS),
         most_searched=_MOST_IN_FULL if options.full else _MOST_SEARCHED,
         most_plain=_MOST_IN_FULL if options.full else _MOST_PLAIN,
