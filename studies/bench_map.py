@@ -7,6 +7,7 @@ small map that is not timed; the peers run on the same table right after it. Abs
 import argparse
 import os
 import platform
+import resource
 import shlex
 import statistics
 import subprocess
@@ -24,7 +25,7 @@ import msgspec
 import numpy as np
 
 from mapper.types import KernelsKind, Method
-from studies.errors import BenchmarkError
+from studies.errors import BenchmarkError, StudyError
 from studies.long_run import cut_run
 from studies.map_measures import (
     Arrays,
@@ -147,8 +148,8 @@ def measure(effort: Effort, *, seed: int, cache: Path) -> Bench:
     load_before = os.getloadavg()[0]
     cuts = cut_run(effort.sizes, seed=seed, directory=cache, tell=_tell)
     start_size = effort.sizes[0]
-    start_s = [_time_start(cuts[start_size]) for _ in range(_STARTS + 1)][1:]  # the first one warms the caches
-    _tell(f"start to first map: {statistics.median(start_s):.2f} s")
+    starts = [_time_start(cuts[start_size]) for _ in range(_STARTS + 1)][1:]  # the first one warms the caches
+    _tell(f"start to first map: {statistics.median(wall_s for wall_s, _ in starts):.2f} s")
     records = _Records()
     with tempfile.TemporaryDirectory(prefix="biobot-bench-") as directory:
         for size in effort.sizes:
@@ -157,7 +158,8 @@ def measure(effort: Effort, *, seed: int, cache: Path) -> Bench:
         machine=_describe_machine(),
         seed=seed,
         load=(load_before, os.getloadavg()[0]),
-        start_s=tuple(start_s),
+        start_s=tuple(wall_s for wall_s, _ in starts),
+        start_core_s=tuple(core_s for _, core_s in starts),
         start_encounters=start_size,
         maps=tuple(records.maps),
         peers=tuple(records.peers),
@@ -237,10 +239,16 @@ def _time_peer(cut: Path, way: str, *, size: int, searched: int, results: Path) 
     return timing, _load(result)
 
 
-def _time_start(cut: Path) -> float:
-    begun = time.perf_counter()
+def _time_start(cut: Path) -> tuple[float, float]:
+    """Start a process that makes one map: seconds by the wall's clock, and of all cores."""
+    begun_s, begun_core_s = time.perf_counter(), _core_s_of_children()
     _run(["studies.map_timing", str(cut), _START_CASE, "--repeats", "1", "--cold"], kernels=KernelsKind.COMPILED)
-    return time.perf_counter() - begun
+    return time.perf_counter() - begun_s, _core_s_of_children() - begun_core_s
+
+
+def _core_s_of_children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _run(arguments: Sequence[str], *, kernels: KernelsKind) -> bytes:
@@ -316,8 +324,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         most_plain=_MOST_IN_FULL if options.full else _MOST_PLAIN,
         patience_s=inf if options.full else _PATIENCE_S,
     )
-    with tempfile.TemporaryDirectory(prefix="biobot-tables-") as directory:
-        bench = measure(effort, seed=options.seed, cache=options.cache or Path(directory))
+    try:
+        with tempfile.TemporaryDirectory(prefix="biobot-tables-") as directory:
+            bench = measure(effort, seed=options.seed, cache=options.cache or Path(directory))
+    except StudyError as error:
+        _tell(str(error))
+        return 1
     print(to_markdown(bench))
     if options.json is not None:
         options.json.write_bytes(msgspec.json.format(msgspec.json.encode(bench), indent=2) + b"\n")

@@ -116,7 +116,8 @@ class Verdict:
 class Bench:
     """All that was measured in one run.
 
-    ``machine`` says where and when, in words. ``start_s`` are seconds from the start of a process to the end of its first map.
+    ``machine`` says where and when, in words. ``start_s`` and ``start_core_s`` are seconds from the start of a process to the end
+    of its first map, by the wall's clock and of all cores.
     ``load`` is the machine's load average over a minute before and after. ``left_out`` says what would have taken too long.
     """
 
@@ -124,6 +125,7 @@ class Bench:
     seed: int
     load: tuple[float, float]
     start_s: tuple[float, ...]
+    start_core_s: tuple[float, ...]
     start_encounters: int
     maps: tuple[MapTiming, ...]
     peers: tuple[PeerTiming, ...]

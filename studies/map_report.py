@@ -12,7 +12,7 @@ _REST = "done"  # as the mapper calls what comes after its last stage
 def to_markdown(bench: Bench) -> str:
     """Write tables of stages, comparisons and verdicts."""
     about = ", ".join(f"{name} {value}" if name else value for name, value in bench.machine.items())
-    start_s = ", ".join(f"{one:.2f}" for one in sorted(bench.start_s))
+    start_s = f"{np.median(bench.start_s):.2f} s, of cores {np.median(bench.start_core_s):.2f}"
     parts = [
         f"{about}; load average {bench.load[0]:.1f} before and {bench.load[1]:.1f} after; seed {bench.seed}.",
         "From encounters in memory to distance matrix, diagrams and embedding: medians of whole maps in a process of their own [ms].",

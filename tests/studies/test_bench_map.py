@@ -64,6 +64,12 @@ def test_the_plain_ways_pick_the_mapper_s_points_at_its_distances(
     np.testing.assert_array_equal(ours.components[0].distances, theirs.distances)
 
 
+def test_a_failing_process_is_told_and_is_no_crash(cuts: dict[int, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / cuts[_N].name).write_text("no table")
+    assert main(["--sizes", str(_N), "--seed", "3", "--cache", str(tmp_path)]) == 1
+    assert "remove the file, and it is made anew" in capsys.readouterr().err
+
+
 def test_fewer_points_are_the_first_of_more(cuts: dict[int, Path]) -> None:
     cut = load_cut(cuts[500])
     few, many = (sample_by_dijkstra(cut, n_points=n) for n in (4, 30))
@@ -138,6 +144,7 @@ _BENCH = Bench(
     seed=1,
     load=(0.0, 0.0),
     start_s=(3.0, 1.0, 1.5),
+    start_core_s=(0.9, 0.8, 0.7),
     start_encounters=10_000,
     maps=(
         replace(_MAP, encounters=10_000, total_s=0.01),
