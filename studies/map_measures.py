@@ -221,14 +221,14 @@ def fit_exponent(sizes: Sequence[int], seconds: Sequence[float]) -> float:
 
 
 def exponents(bench: Bench) -> dict[str, tuple[float, float]]:
-    """Fit every case of compiled kernels: exponent of its cost, and that of N log N over the same sizes; without sizes enough, none."""
+    """Fit every case of compiled kernels: exponent of its cores' time, and that of N log N over the same sizes; without sizes enough, none."""
     found = {}
     for case in dict.fromkeys(timing.case for timing in bench.maps):
         own = [timing for timing in bench.maps if timing.case == case and timing.kernels is KernelsKind.COMPILED]
         sizes = [timing.encounters for timing in own]
         if len(own) < _LEAST_TO_FIT:
             continue
-        found[case] = (fit_exponent(sizes, [timing.total_s for timing in own]), fit_exponent(sizes, [size * log(size) for size in sizes]))
+        found[case] = (fit_exponent(sizes, [timing.core_s for timing in own]), fit_exponent(sizes, [size * log(size) for size in sizes]))
     return found
 
 
@@ -239,7 +239,7 @@ def judge(bench: Bench) -> tuple[Verdict, ...]:
         if timing.case != "paper" or timing.kernels is not KernelsKind.COMPILED:
             continue
         if (limit_s := _TOTAL_S.get(timing.encounters)) is not None:
-            name = f"map of {timing.encounters:,} encounters"
+            name = f"map of {timing.encounters:,} encounters (of cores {timing.core_s:.3g} s)"
             verdicts.append(_at_most(name, timing.total_s, limit_s, text=lambda value: f"{value:.3g} s"))
         if (limit := _PEAK_BYTES.get(timing.encounters)) is not None:
             name = f"memory at {timing.encounters:,} encounters"
@@ -260,7 +260,7 @@ def judge(bench: Bench) -> tuple[Verdict, ...]:
     for case, (exponent, reference) in exponents(bench).items():
         verdicts.append(
             _at_most(
-                f"exponent of cost over all sizes, by least squares (N log N), {case}",
+                f"exponent of cores' time over all sizes, by least squares (N log N), {case}",
                 exponent,
                 reference,
                 text=lambda value: f"{value:.2f}",

@@ -147,9 +147,9 @@ _BENCH = Bench(
     start_core_s=(0.9, 0.8, 0.7),
     start_encounters=10_000,
     maps=(
-        replace(_MAP, encounters=10_000, total_s=0.01),
+        replace(_MAP, encounters=10_000, total_s=0.01, core_s=0.01),
         _MAP,
-        replace(_MAP, encounters=1_000_000, total_s=2.5),
+        replace(_MAP, encounters=1_000_000, total_s=2.5, core_s=2.5),
         replace(_MAP, kernels=KernelsKind.PLAIN, total_s=9.0),
     ),
     peers=(),
