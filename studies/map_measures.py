@@ -221,7 +221,7 @@ def fit_exponent(sizes: Sequence[int], seconds: Sequence[float]) -> float:
 
 
 def exponents(bench: Bench) -> dict[str, tuple[float, float]]:
-    """Fit every case of compiled kernels: exponent of its cores' time, and that of N log N over the same sizes; without sizes enough, none."""
+    """Fit each case of compiled kernels: exponent of its cores' time, and that of N log N over the same sizes; too few sizes give none."""
     found = {}
     for case in dict.fromkeys(timing.case for timing in bench.maps):
         own = [timing for timing in bench.maps if timing.case == case and timing.kernels is KernelsKind.COMPILED]
