@@ -56,6 +56,9 @@ theory: venv  ## compare motion, meetings and walls with theory, and encounters 
 bench-sim: venv  ## how fast the simulator is on one core, beside Mesa (minutes)
 	$(PY) -m studies.bench_sim $(ARGS)
 
+bench-map: venv  ## how fast maps are made, beside the plain ways (ten minutes; ARGS="--quick")
+	$(PY) -m studies.bench_map $(ARGS)
+
 bench-live: venv  ## 2,000 encounters/s into a store of 500,000: age of the map, the API, the gateway, losses, restart (minutes)
 	$(PY) -m studies.bench_live $(ARGS)
 
@@ -75,4 +78,4 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) simulator/engine/*.so mapper/kernels/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-live campaign-walls check-kernels lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-live campaign-walls check-kernels lock docker-check clean

@@ -37,6 +37,22 @@ class OtherRunError(StudyError):
         )
 
 
+class CutFileError(StudyError):
+    """The file holds no table of a simulated run: remove it, and it is made anew."""
+
+    def __init__(self, *, path: Path, problem: str) -> None:
+        self.path = path
+        super().__init__(f"{path}: no table of encounters of studies.long_run ({problem}); remove the file, and it is made anew")
+
+
+class BenchmarkError(StudyError):
+    """A measured process failed: see what it wrote."""
+
+    def __init__(self, *, command: str, status: int, told: str) -> None:
+        self.status = status
+        super().__init__(f"{command} ended with status {status}; it wrote:\n{told.strip() or '(nothing)'}")
+
+
 class NoRoomError(StudyError):
     """The obstacles asked for do not fit into the outline; ask for fewer or smaller ones."""
 
