@@ -36,6 +36,8 @@ class Graph(ctypes.Structure):
 
 
 _ROWS = (_Array, _Array, _Array)
+_LEAVES = (_Array, c_int32, c_int32, c_int32, c_int32)
+_TREE = (_Array, _Array, _Array, _Array)
 
 # Name: result, arguments.
 _FUNCTIONS = {
@@ -45,6 +47,8 @@ _FUNCTIONS = {
     "pick_maxmin": (c_int32, (*_ROWS, c_int32, c_int32, _Array, _Array, _Array, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
     "bracket": (c_int, (_Array, c_int64, c_int32, _Array, _Array)),
     "pick_profiles": (c_int32, (_Array, c_int64, c_int32, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
+    "plant_tree": (c_int, (*_LEAVES, _Array, _Array, c_int32, *_TREE, POINTER(c_double))),
+    "average_nearest": (c_int, (*_LEAVES, *_TREE, c_double, c_int32, c_int32, c_int32, _Array)),
     "kernels_layout": (c_int64, ()),
 }
 
