@@ -161,13 +161,15 @@ class PlainKernels:
         for begin in range(0, n, _ROWS_AT_ONCE):
             rows = profiles[begin : begin + _ROWS_AT_ONCE]
             # One more than is wanted: where it is no further than the last wanted one, that there is a tie.
-            reach, nearest = tree.query(rows, k=np.arange(1, min(n_nearest + 1, n) + 1))
+            reach, nearest = (np.asarray(found) for found in tree.query(rows, k=np.arange(1, min(n_nearest + 1, n) + 1)))
             limit = reach[:, n_nearest - 1] * _BEYOND_ROUNDING
             nearest = nearest[:, :n_nearest]
             is_tied = reach[:, -1] <= limit
             if n_nearest < n and is_tied.any():
                 tied = [np.sort(within) for within in tree.query_ball_point(rows[is_tied], limit[is_tied])]
-                nearest[is_tied] = [within[_rank(profiles[within], row)[:n_nearest]] for within, row in zip(tied, rows[is_tied], strict=True)]
+                nearest[is_tied] = [
+                    within[_rank(profiles[within], row)[:n_nearest]] for within, row in zip(tied, rows[is_tied], strict=True)
+                ]
             total = np.zeros_like(rows)
             # Neighbour by neighbour: all of them at once would need rows * n_nearest * l numbers.
             for column in np.sort(nearest, axis=1).T:

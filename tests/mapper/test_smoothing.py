@@ -39,7 +39,7 @@ def _cloud(n: int, *, seed: int) -> FloatArray:
     landmarks = rng.uniform(0, 50, (12, 2))
     places[::10] = landmarks[rng.integers(0, 12, len(places[::10]))]
     times = np.sqrt(((places[:, None] - landmarks[None]) ** 2).sum(axis=2))
-    return np.rint((times + rng.exponential(0.5, times.shape) * (np.arange(n) % 10 > 0)[:, None]) * 2e9)
+    return np.asarray(np.rint((times + rng.exponential(0.5, times.shape) * (np.arange(n) % 10 > 0)[:, None]) * 2e9))
 
 
 @given(st.one_of(grids, half_ticks), st.data())

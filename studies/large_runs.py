@@ -1,0 +1,217 @@
+"""What the limit of candidates costs the default method in long runs: ``python -m studies.large_runs``.
+
+Every run is mapped once with each limit in question; 0 is the method without a limit. Finished maps are kept in a file, so a study that was
+stopped goes on where it was; delete the file when the mapper has changed.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import gudhi
+import numpy as np
+
+from firmware_protocol.contract.records import Cause, Mode
+from firmware_protocol.landmarks import select_landmarks
+from firmware_protocol.units import NodeId
+from mapper.config import RecipeConfig, make_recipe
+from mapper.pipeline import compute_map
+from mapper.types import EncounterTable, IntArray, MapResult, ModeSpell, Recipe
+from mapper.window import make_encounter_table
+from simulator.arenas.arena import build_arena
+from simulator.arenas.geodesics import geodesic_distances
+from simulator.config import Ranges
+from simulator.motion import MotionParameters
+from simulator.world import World
+from studies.arenas import draw_arena
+from studies.trials import SETTINGS, Setting
+from studies.truth import Floats, diagram_of
+
+# Training takes seeds from 0 on, `studies.hole_count` those from 10,000.
+FIRST_SEED = 60_000
+LIMITS = (0, 40_000, 20_000, 10_000, 5_000)
+RUNS = {
+    name: replace(SETTINGS["squares/paper-units"], name=name, duration_s=duration_s)
+    for name, duration_s in (("squares/10,000 s", 10_000.0), ("squares/30,000 s", 30_000.0), ("squares/90,000 s", 90_000.0))
+}
+_DISPERSION_S = 10.0
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What one map of one run was worth.
+
+    ``bottleneck``: distance of the diagrams of dimension 1 of the map and of exact geodesics between its points, over the largest of these.
+    ``metric_error``: root of the sum of squared errors of the distances between points, over that of the squared distances.
+    ``seconds``: from encounters in memory to the map.
+    """
+
+    setting: str
+    seed: int
+    limit: int
+    n_encounters: int
+    true_holes: int
+    holes: int
+    bottleneck: float
+    metric_error: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LongRun:
+    """A simulated run: its world at the end, and what a base station would know."""
+
+    world: World
+    table: EncounterTable
+    spells: tuple[ModeSpell, ...]
+
+
+def simulate_long(setting: Setting, seed: int) -> LongRun:
+    """Let biobots disperse, set landmarks, and take the encounters that begin and end while these stand."""
+    world = World(
+        build_arena(draw_arena(setting.family, seed=seed)),
+        motion=MotionParameters(speed=1.0, mean_leg=setting.mean_leg),
+        ranges=Ranges(detection=setting.detection_radius, communication=8 * setting.detection_radius),
+        ids=range(1, setting.biobots + 1),
+        seed=seed,
+    )
+    world.run(_DISPERSION_S)
+    landmarks = select_landmarks(world.adjacency(), count=setting.landmarks)
+    for landmark in landmarks:
+        world.stop(landmark)
+    ended = world.run(_DISPERSION_S + setting.duration_s).ended
+    is_inside = ended.t_start_s >= _DISPERSION_S
+    zero_ns = round(_DISPERSION_S * _NS_PER_S)
+    return LongRun(
+        world=world,
+        table=make_encounter_table(
+            t_start_ns=_to_ns(ended.t_start_s[is_inside]),
+            t_end_ns=_to_ns(ended.t_end_s[is_inside]),
+            id1=ended.id1[is_inside].astype(np.int64),
+            id2=ended.id2[is_inside].astype(np.int64),
+        ),
+        spells=tuple(
+            ModeSpell(node=NodeId(landmark), t_start_ns=zero_ns, t_end_ns=None, mode=Mode.S, cause=Cause.COMMAND) for landmark in landmarks
+        ),
+    )
+
+
+def judge_map(run: LongRun, recipe: Recipe, *, setting: str, seed: int) -> Outcome:
+    """Map a run and compare the map with its truth."""
+    began = time.perf_counter()
+    result = compute_map(run.table, run.spells, recipe)
+    seconds = time.perf_counter() - began
+    exact = geodesic_distances(run.world.arena, _true_places(run, result))
+    part = result.components[0]
+    found, true = (loops[np.isfinite(loops[:, 1])] for loops in (part.intervals[1], diagram_of(exact)[1]))
+    return Outcome(
+        setting=setting,
+        seed=seed,
+        limit=recipe.max_candidates,
+        n_encounters=result.n_encounters,
+        true_holes=run.world.arena.betti.holes,
+        holes=result.betti_numbers[1],
+        bottleneck=float(gudhi.bottleneck_distance(found, true) / exact.max()),
+        metric_error=float(np.sqrt(((part.distances - exact) ** 2).sum() / (exact**2).sum())),
+        seconds=seconds,
+    )
+
+
+def _true_places(run: LongRun, result: MapResult) -> Floats:
+    """Find where the encounters of the largest component's points were: half way between their biobots; shape (p, 2)."""
+    points = slice(0, result.components[0].n_points)
+    at_s = result.points.t_ns[points] / _NS_PER_S
+    one, other = (run.world.positions_of(ids[points], at_s) for ids in (result.points.id1, result.points.id2))
+    return (one + other) / 2
+
+
+def _to_ns(times_s: Floats) -> IntArray:
+    return np.rint(times_s * _NS_PER_S).astype(np.int64)
+
+
+def judge_runs(setting: Setting, seeds: Sequence[int], limits: Sequence[int], *, kept: Path) -> Iterator[list[Outcome]]:
+    """Yield the outcomes of each run; those in the file ``kept`` are not made again, and the others are added to it."""
+    known = {(outcome.setting, outcome.seed, outcome.limit): outcome for outcome in _take_up(kept)}
+    default = make_recipe(RecipeConfig())
+    for seed in seeds:
+        missing = [limit for limit in limits if (setting.name, seed, limit) not in known]
+        if missing:
+            run = simulate_long(setting, seed)
+            fresh = [judge_map(run, replace(default, max_candidates=limit), setting=setting.name, seed=seed) for limit in missing]
+            _add(kept, fresh)
+            known |= {(outcome.setting, outcome.seed, outcome.limit): outcome for outcome in fresh}
+        yield [known[setting.name, seed, limit] for limit in limits]
+
+
+def describe(outcomes: Sequence[Outcome]) -> str:
+    """Tell the outcomes of one setting and limit, at least one, in a line; standard errors after the signs."""
+    right = np.array([outcome.holes == outcome.true_holes for outcome in outcomes])
+    figures = [
+        f"{100 * mean:5.1f} +- {100 * error:3.1f} %"
+        for mean, error in (
+            (right.mean(), np.sqrt(right.mean() * (1 - right.mean()) / len(right))),
+            _mean_and_error([outcome.bottleneck for outcome in outcomes]),
+            _mean_and_error([outcome.metric_error for outcome in outcomes]),
+        )
+    ]
+    first = outcomes[0]
+    n_encounters = int(np.median([outcome.n_encounters for outcome in outcomes]))
+    seconds = np.median([outcome.seconds for outcome in outcomes])
+    limit = f"{first.limit:,}" if first.limit else "none"
+    return f"{first.setting:18} {len(outcomes):4d} {n_encounters:9,} {limit:>8}   " + "   ".join(figures) + f"   {seconds:7.2f}"
+
+
+def _mean_and_error(values: Sequence[float]) -> tuple[float, float]:
+    return float(np.mean(values)), float(np.std(values) / np.sqrt(len(values)))
+
+
+def _take_up(path: Path) -> list[Outcome]:
+    """Read what is there; a last line that was cut off when the study was stopped is taken away."""
+    if not path.exists():
+        return []
+    *whole, rest = path.read_text(encoding="utf-8").split("\n")
+    if rest:
+        path.write_text("".join(f"{line}\n" for line in whole), encoding="utf-8")
+    return [Outcome(**json.loads(line)) for line in whole]
+
+
+def _add(path: Path, outcomes: Sequence[Outcome]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
+        file.writelines(json.dumps(asdict(outcome)) + "\n" for outcome in outcomes)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print a table; progress goes to standard error."""
+    parser = argparse.ArgumentParser(prog="python -m studies.large_runs", description=__doc__)
+    parser.add_argument("--setting", choices=list(RUNS), action="append", help="may be repeated (default: the first two)")
+    parser.add_argument("--limit", type=int, action="append", help=f"max_candidates, 0 for none; may be repeated (default: {LIMITS})")
+    parser.add_argument("--runs", type=int, default=60, help="runs of each setting (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="first seed (default: %(default)s)")
+    parser.add_argument("--kept", type=Path, default=Path("artifacts/large_runs.jsonl"), help="finished maps (default: %(default)s)")
+    options = parser.parse_args(arguments)
+    if options.runs < 1:
+        parser.error(f"--runs is {options.runs}; wanted at least 1")
+    limits = options.limit or list(LIMITS)
+    if min(limits) < 0:
+        parser.error(f"--limit is {min(limits)}; wanted 0 for none, or a number of candidates")
+    print("setting            runs encounters candidates  holes right    bottleneck H1   metric error   seconds (median)")
+    for name in options.setting or list(RUNS)[:2]:
+        seeds = range(options.seed, options.seed + options.runs)
+        outcomes = judge_runs(RUNS[name], seeds, limits, kept=options.kept)
+        by_seed = []
+        for of_run in outcomes:
+            by_seed.append(of_run)
+            print(f"{name}: {len(by_seed)} of {options.runs} runs", file=sys.stderr)
+        for of_limit in zip(*by_seed, strict=True):
+            print(describe(of_limit))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
