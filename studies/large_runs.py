@@ -1,15 +1,14 @@
 """What the limit of candidates costs the default method in long runs: ``python -m studies.large_runs``.
 
-Every run is mapped once with each limit in question; 0 is the method without a limit. Finished maps are kept in a file, so a study that was
-stopped goes on where it was; delete the file when the mapper has changed.
+Every run is mapped once with each limit in question; 0 is the method without a limit.
 """
 
 import argparse
-import json
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import gudhi
@@ -17,10 +16,10 @@ import numpy as np
 
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.landmarks import select_landmarks
-from firmware_protocol.units import NodeId
+from firmware_protocol.units import NS_PER_S, NodeId
 from mapper.config import RecipeConfig, make_recipe
 from mapper.pipeline import compute_map
-from mapper.types import EncounterTable, IntArray, MapResult, ModeSpell, Recipe
+from mapper.types import EncounterTable, IntArray, MapResult, ModeSpell
 from mapper.window import make_encounter_table
 from simulator.arenas.arena import build_arena
 from simulator.arenas.geodesics import geodesic_distances
@@ -28,6 +27,9 @@ from simulator.config import Ranges
 from simulator.motion import MotionParameters
 from simulator.world import World
 from studies.arenas import draw_arena
+from studies.cases import PackageFile, Study, results_of, run_cases
+from studies.cases.flags import add_flags, read_flags
+from studies.errors import StudyError
 from studies.trials import SETTINGS, Setting
 from studies.truth import Floats, diagram_of
 
@@ -39,7 +41,15 @@ RUNS = {
     for name, duration_s in (("squares/10,000 s", 10_000.0), ("squares/30,000 s", 30_000.0), ("squares/90,000 s", 90_000.0))
 }
 _DISPERSION_S = 10.0
-_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LargeCase:
+    """A run, and the limit of candidates that it is mapped with."""
+
+    setting: str
+    seed: int
+    limit: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +81,7 @@ class LongRun:
     spells: tuple[ModeSpell, ...]
 
 
+@lru_cache(maxsize=1)  # several limits are tried on one run
 def simulate_long(setting: Setting, seed: int) -> LongRun:
     """Let biobots disperse, set landmarks, and take the encounters that begin and end while these stand."""
     world = World(
@@ -86,7 +97,7 @@ def simulate_long(setting: Setting, seed: int) -> LongRun:
         world.stop(landmark)
     ended = world.run(_DISPERSION_S + setting.duration_s).ended
     is_inside = ended.t_start_s >= _DISPERSION_S
-    zero_ns = round(_DISPERSION_S * _NS_PER_S)
+    zero_ns = round(_DISPERSION_S * NS_PER_S)
     return LongRun(
         world=world,
         table=make_encounter_table(
@@ -101,8 +112,14 @@ def simulate_long(setting: Setting, seed: int) -> LongRun:
     )
 
 
-def judge_map(run: LongRun, recipe: Recipe, *, setting: str, seed: int) -> Outcome:
-    """Map a run and compare the map with its truth."""
+def compute_case(case: LargeCase) -> Outcome:
+    """Simulate and map one run, and compare the map with the truth."""
+    return judge_map(simulate_long(RUNS[case.setting], case.seed), case)
+
+
+def judge_map(run: LongRun, case: LargeCase) -> Outcome:
+    """Map a run that has been simulated, and compare the map with the truth."""
+    recipe = replace(make_recipe(RecipeConfig()), max_candidates=case.limit)
     began = time.perf_counter()
     result = compute_map(run.table, run.spells, recipe)
     seconds = time.perf_counter() - began
@@ -110,9 +127,9 @@ def judge_map(run: LongRun, recipe: Recipe, *, setting: str, seed: int) -> Outco
     part = result.components[0]
     found, true = (loops[np.isfinite(loops[:, 1])] for loops in (part.intervals[1], diagram_of(exact)[1]))
     return Outcome(
-        setting=setting,
-        seed=seed,
-        limit=recipe.max_candidates,
+        setting=case.setting,
+        seed=case.seed,
+        limit=case.limit,
         n_encounters=result.n_encounters,
         true_holes=run.world.arena.betti.holes,
         holes=result.betti_numbers[1],
@@ -122,30 +139,21 @@ def judge_map(run: LongRun, recipe: Recipe, *, setting: str, seed: int) -> Outco
     )
 
 
+LARGE_RUNS = Study(
+    name="large-runs", compute=compute_case, result_type=Outcome, files=(PackageFile(package="mapper", path="data/classifier.json"),)
+)
+
+
 def _true_places(run: LongRun, result: MapResult) -> Floats:
     """Find where the encounters of the largest component's points were: half way between their biobots; shape (p, 2)."""
     points = slice(0, result.components[0].n_points)
-    at_s = result.points.t_ns[points] / _NS_PER_S
+    at_s = result.points.t_ns[points] / NS_PER_S
     one, other = (run.world.positions_of(ids[points], at_s) for ids in (result.points.id1, result.points.id2))
     return (one + other) / 2
 
 
 def _to_ns(times_s: Floats) -> IntArray:
-    return np.rint(times_s * _NS_PER_S).astype(np.int64)
-
-
-def judge_runs(setting: Setting, seeds: Sequence[int], limits: Sequence[int], *, kept: Path) -> Iterator[list[Outcome]]:
-    """Yield the outcomes of each run; those in the file ``kept`` are not made again, and the others are added to it."""
-    known = {(outcome.setting, outcome.seed, outcome.limit): outcome for outcome in _take_up(kept)}
-    default = make_recipe(RecipeConfig())
-    for seed in seeds:
-        missing = [limit for limit in limits if (setting.name, seed, limit) not in known]
-        if missing:
-            run = simulate_long(setting, seed)
-            fresh = [judge_map(run, replace(default, max_candidates=limit), setting=setting.name, seed=seed) for limit in missing]
-            _add(kept, fresh)
-            known |= {(outcome.setting, outcome.seed, outcome.limit): outcome for outcome in fresh}
-        yield [known[setting.name, seed, limit] for limit in limits]
+    return np.rint(times_s * NS_PER_S).astype(np.int64)
 
 
 def describe(outcomes: Sequence[Outcome]) -> str:
@@ -170,22 +178,6 @@ def _mean_and_error(values: Sequence[float]) -> tuple[float, float]:
     return float(np.mean(values)), float(np.std(values) / np.sqrt(len(values)))
 
 
-def _take_up(path: Path) -> list[Outcome]:
-    """Read what is there; a last line that was cut off when the study was stopped is taken away."""
-    if not path.exists():
-        return []
-    *whole, rest = path.read_text(encoding="utf-8").split("\n")
-    if rest:
-        path.write_text("".join(f"{line}\n" for line in whole), encoding="utf-8")
-    return [Outcome(**json.loads(line)) for line in whole]
-
-
-def _add(path: Path, outcomes: Sequence[Outcome]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", encoding="utf-8") as file:
-        file.writelines(json.dumps(asdict(outcome)) + "\n" for outcome in outcomes)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a table; progress goes to standard error."""
     parser = argparse.ArgumentParser(prog="python -m studies.large_runs", description=__doc__)
@@ -193,23 +185,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--limit", type=int, action="append", help=f"max_candidates, 0 for none; may be repeated (default: {LIMITS})")
     parser.add_argument("--runs", type=int, default=60, help="runs of each setting (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="first seed (default: %(default)s)")
-    parser.add_argument("--kept", type=Path, default=Path("artifacts/large_runs.jsonl"), help="finished maps (default: %(default)s)")
+    parser.add_argument("--journal", type=Path, default=Path("artifacts/large_runs.jsonl"), help="finished maps (default: %(default)s)")
+    add_flags(parser)
     options = parser.parse_args(arguments)
     if options.runs < 1:
         parser.error(f"--runs is {options.runs}; wanted at least 1")
     limits = options.limit or list(LIMITS)
     if min(limits) < 0:
         parser.error(f"--limit is {min(limits)}; wanted 0 for none, or a number of candidates")
+    settings = options.setting or list(RUNS)[:2]
+    seeds = range(options.seed, options.seed + options.runs)
+    cases = [LargeCase(setting=name, seed=seed, limit=limit) for name in settings for seed in seeds for limit in limits]
+    try:
+        outcomes = results_of(run_cases(LARGE_RUNS, cases, read_flags(options, journal=options.journal), label="large runs"))
+    except StudyError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     print("setting            runs encounters candidates  holes right    bottleneck H1   metric error   seconds (median)")
-    for name in options.setting or list(RUNS)[:2]:
-        seeds = range(options.seed, options.seed + options.runs)
-        outcomes = judge_runs(RUNS[name], seeds, limits, kept=options.kept)
-        by_seed = []
-        for of_run in outcomes:
-            by_seed.append(of_run)
-            print(f"{name}: {len(by_seed)} of {options.runs} runs", file=sys.stderr)
-        for of_limit in zip(*by_seed, strict=True):
-            print(describe(of_limit))
+    for name in settings:
+        for limit in limits:
+            print(describe([outcome for outcome in outcomes if (outcome.setting, outcome.limit) == (name, limit)]))
     return 0
 
 
