@@ -266,7 +266,7 @@ static void sort_few(int32_t *numbers, int32_t n) {
 KERNEL int average_nearest(const double *rows, int32_t n, int32_t n_columns, int32_t depth, int32_t slot, const int32_t *order,
                            const double *sorted, const float *leaves, const float *boxes, double scale, int32_t k, int32_t first,
                            int32_t last, double *means) {
-  int32_t stride = padded(n_columns), room = k + k / 2 + 4 * slot;
+  int32_t stride = padded(n_columns), room = k + k / 2 + slot;
   ranked *found = malloc((size_t)room * sizeof *found);
   float *squares = malloc((size_t)slot * sizeof *squares);
   int32_t *nearest = malloc(2 * (size_t)k * sizeof *nearest);
