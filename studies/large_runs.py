@@ -26,7 +26,7 @@ from simulator.arenas.geodesics import geodesic_distances
 from simulator.config import Ranges
 from simulator.motion import MotionParameters
 from simulator.world import World
-from studies.arenas import draw_arena
+from studies.arenas import ArenaFamily, draw_arena
 from studies.cases import PackageFile, Study, results_of, run_cases
 from studies.cases.flags import add_flags, read_flags
 from studies.errors import StudyError
@@ -36,9 +36,16 @@ from studies.truth import Floats, diagram_of
 # Training takes seeds from 0 on, `studies.hole_count` those from 10,000.
 FIRST_SEED = 60_000
 LIMITS = (0, 40_000, 20_000, 10_000, 5_000)
+# Settings of `paper-units`, longer: about 11 encounters in a second.
 RUNS = {
-    name: replace(SETTINGS["squares/paper-units"], name=name, duration_s=duration_s)
-    for name, duration_s in (("squares/10,000 s", 10_000.0), ("squares/30,000 s", 30_000.0), ("squares/90,000 s", 90_000.0))
+    name: replace(SETTINGS["squares/paper-units"], name=name, family=family, duration_s=duration_s)
+    for name, family, duration_s in (
+        ("squares/10,000 s", ArenaFamily.SQUARES, 10_000.0),
+        ("squares/30,000 s", ArenaFamily.SQUARES, 30_000.0),
+        ("squares/90,000 s", ArenaFamily.SQUARES, 90_000.0),
+        ("shapes/10,000 s", ArenaFamily.SHAPES, 10_000.0),
+        ("small-squares/10,000 s", ArenaFamily.SMALL_SQUARES, 10_000.0),
+    )
 }
 _DISPERSION_S = 10.0
 
@@ -171,7 +178,7 @@ def describe(outcomes: Sequence[Outcome]) -> str:
     n_encounters = int(np.median([outcome.n_encounters for outcome in outcomes]))
     seconds = np.median([outcome.seconds for outcome in outcomes])
     limit = f"{first.limit:,}" if first.limit else "none"
-    return f"{first.setting:18} {len(outcomes):4d} {n_encounters:9,} {limit:>8}   " + "   ".join(figures) + f"   {seconds:7.2f}"
+    return f"{first.setting:22} {len(outcomes):4d} {n_encounters:9,} {limit:>8}   " + "   ".join(figures) + f"   {seconds:7.2f}"
 
 
 def _mean_and_error(values: Sequence[float]) -> tuple[float, float]:
@@ -201,7 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except StudyError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    print("setting            runs encounters candidates  holes right    bottleneck H1   metric error   seconds (median)")
+    print("setting                runs encounters candidates  holes right    bottleneck H1   metric error   seconds (median)")
     for name in settings:
         for limit in limits:
             print(describe([outcome for outcome in outcomes if (outcome.setting, outcome.limit) == (name, limit)]))

@@ -1,7 +1,7 @@
 /* Means over nearest rows: exact k-nearest-neighbour search among rows of many columns that spread along few directions.
 
-   Each row has a shadow: its place along the few directions given, and how far it is from all of them; in single precision, in shares of the
-   furthest row. No two rows are nearer than their shadows. The rows are halved again and again at the median of one coordinate of
+   Each row has a shadow: its place along the few directions given, and how far it is from all of them; in single precision, in shares of
+   the furthest row. No two rows are nearer than their shadows. The rows are halved again and again at the median of one coordinate of
    their shadows, until a leaf holds no more than a slot. Node 1 is the root, the children of node i are 2i and 2i + 1, and all leaves are
    `depth` below the root: where a node begins and ends follows from its number. */
 #include "kernels.h"
@@ -67,22 +67,9 @@ static int32_t find_widest(const float *shadows, const int32_t *order, int32_t n
   return widest;
 }
 
-/* Order n rows by the leaves of a tree.
-
-   `axes` (n_axes * n_columns, fewer than WIDTH) are orthonormal directions, `centre` (n_columns) any place among the rows. Filled are `order`,
-   the rows themselves in that order, padded to whole vectors (`sorted`), the shadows, coordinate by coordinate within a leaf (`leaves`), the
-   lowest and highest of each coordinate in each node (`boxes`), and the distance of the furthest row from the centre (`scale`). */
-KERNEL int plant_tree(const double *rows, int32_t n, int32_t n_columns, int32_t depth, int32_t slot, const double *centre,
-                      const double *axes, int32_t n_axes, int32_t *order, double *sorted, float *leaves, float *boxes, double *scale) {
-  ranked *items = malloc(((size_t)n + 1) * sizeof *items);
-  float *shadows = calloc((size_t)n * WIDTH + 1, sizeof *shadows);
-  double *rest = malloc(((size_t)n_columns + 1) * sizeof *rest);
-  if (!items || !shadows || !rest) {
-    free(items);
-    free(shadows);
-    free(rest);
-    return NO_MEMORY;
-  }
+/* Fill the shadows (n * WIDTH); `rest` is room for a row. Returns the distance of the furthest row from the centre, 1 if all are there. */
+static double cast_shadows(const double *rows, int32_t n, int32_t n_columns, const double *centre, const double *axes, int32_t n_axes,
+                           double *rest, float *shadows) {
   double furthest = 0;
   for (int32_t i = 0; i < n; i++) {
     double square = 0;
@@ -92,11 +79,11 @@ KERNEL int plant_tree(const double *rows, int32_t n, int32_t n_columns, int32_t 
     }
     furthest = square > furthest ? square : furthest;
   }
-  *scale = furthest > 0 ? sqrt(furthest) : 1;
+  double scale = furthest > 0 ? sqrt(furthest) : 1;
   for (int32_t i = 0; i < n; i++) {
     float *shadow = shadows + (int64_t)i * WIDTH;
     double square = 0;
-    for (int32_t c = 0; c < n_columns; c++) rest[c] = (rows[(int64_t)i * n_columns + c] - centre[c]) / *scale;
+    for (int32_t c = 0; c < n_columns; c++) rest[c] = (rows[(int64_t)i * n_columns + c] - centre[c]) / scale;
     for (int32_t a = 0; a < n_axes; a++) {
       double along = 0;
       for (int32_t c = 0; c < n_columns; c++) along += rest[c] * axes[(int64_t)a * n_columns + c];
@@ -105,8 +92,14 @@ KERNEL int plant_tree(const double *rows, int32_t n, int32_t n_columns, int32_t 
     }
     for (int32_t c = 0; c < n_columns; c++) square += rest[c] * rest[c];
     shadow[n_axes] = (float)sqrt(square);
-    order[i] = i;
+    for (int32_t k = n_axes + 1; k < WIDTH; k++) shadow[k] = 0;
   }
+  return scale;
+}
+
+/* Put all rows in the order of the leaves. */
+static void sort_into_leaves(const float *shadows, int32_t n, int32_t depth, ranked *items, int32_t *order) {
+  for (int32_t i = 0; i < n; i++) order[i] = i;
   for (int32_t level = 0; level < depth; level++)
     for (int32_t place = 0; place < 1 << level; place++) {
       int32_t begin = begin_of(n, level, place), end = begin_of(n, level, place + 1), middle = begin_of(n, level + 1, 2 * place + 1);
@@ -115,12 +108,11 @@ KERNEL int plant_tree(const double *rows, int32_t n, int32_t n_columns, int32_t 
       select_ranked(items + begin, end - begin, middle - begin);
       for (int32_t i = begin; i < end; i++) order[i] = items[i].at;
     }
-  int32_t n_leaves = 1 << depth, stride = padded(n_columns);
-  for (int32_t i = 0; i < n; i++) {
-    double *row = sorted + (int64_t)i * stride;
-    memcpy(row, rows + (int64_t)order[i] * n_columns, (size_t)n_columns * sizeof *row);
-    for (int32_t c = n_columns; c < stride; c++) row[c] = 0;
-  }
+}
+
+/* Lay out the shadows of each leaf, coordinate by coordinate, and find the lowest and highest of each coordinate in each node. */
+static void fill_leaves(const float *shadows, int32_t n, int32_t depth, int32_t slot, const int32_t *order, float *leaves, float *boxes) {
+  int32_t n_leaves = 1 << depth;
   for (int32_t leaf = 0; leaf < n_leaves; leaf++) {
     int32_t begin = begin_of(n, depth, leaf), size = begin_of(n, depth, leaf + 1) - begin;
     float *block = leaves + (int64_t)leaf * slot * WIDTH, *low = boxes + (int64_t)(n_leaves + leaf) * 2 * WIDTH, *high = low + WIDTH;
@@ -143,10 +135,34 @@ KERNEL int plant_tree(const double *rows, int32_t n, int32_t n_columns, int32_t 
       box[WIDTH + k] = one[WIDTH + k] > other[WIDTH + k] ? one[WIDTH + k] : other[WIDTH + k];
     }
   }
+}
+
+/* Order n rows by the leaves of a tree.
+
+   `axes` (n_axes * n_columns, n_axes below WIDTH) are orthonormal directions, `centre` (n_columns) any place among the rows. Filled are
+   `order`, the rows themselves in that order, padded to whole vectors (`sorted`), their shadows by leaf (`leaves`), the boxes of all nodes,
+   lowest before highest (`boxes`), and the distance of the furthest row from the centre (`scale`). */
+KERNEL int plant_tree(const double *rows, int32_t n, int32_t n_columns, int32_t depth, int32_t slot, const double *centre,
+                      const double *axes, int32_t n_axes, int32_t *order, double *sorted, float *leaves, float *boxes, double *scale) {
+  ranked *items = malloc((size_t)n * sizeof *items);
+  float *shadows = malloc((size_t)n * WIDTH * sizeof *shadows);
+  double *rest = malloc((size_t)n_columns * sizeof *rest);
+  int outcome = items && shadows && rest ? 0 : NO_MEMORY;
+  if (outcome == 0) {
+    *scale = cast_shadows(rows, n, n_columns, centre, axes, n_axes, rest, shadows);
+    sort_into_leaves(shadows, n, depth, items, order);
+    fill_leaves(shadows, n, depth, slot, order, leaves, boxes);
+    int32_t stride = padded(n_columns);
+    for (int32_t i = 0; i < n; i++) {
+      double *row = sorted + (int64_t)i * stride;
+      memcpy(row, rows + (int64_t)order[i] * n_columns, (size_t)n_columns * sizeof *row);
+      for (int32_t c = n_columns; c < stride; c++) row[c] = 0;
+    }
+  }
   free(items);
   free(shadows);
   free(rest);
-  return 0;
+  return outcome;
 }
 
 /* Squared distance from a shadow to a box of shadows. */
