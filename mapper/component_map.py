@@ -12,7 +12,7 @@ from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
-from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles
+from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, Recipe, read_only
@@ -66,9 +66,9 @@ def map_component(
     """
     begin("metric")
     references, warnings = _choose_references(graph, recipe, index=index)
-    metric, kept = _compare_and_filter(graph, references, recipe, begin=begin)
+    metric, kept, candidates = _compare_and_filter(graph, references, recipe, begin=begin)
     begin("subsample")
-    sample = subsample_maxmin(metric, kept, n_points=n_points)
+    sample = subsample_maxmin(metric, candidates, n_points=n_points)
     begin("persistence")
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
@@ -122,22 +122,27 @@ def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> 
 
 def _compare_and_filter(
     graph: EncounterGraph, references: IntArray, recipe: Recipe, *, begin: Callable[[str], None]
-) -> tuple[Metric, BoolArray]:
-    """Make the metric, and say which vertices are worth sampling."""
-    if recipe.metric is MetricKind.ENCOUNTER or not recipe.bracketed:
-        metric: Metric = (
-            EncounterMetric(graph=graph)
-            if recipe.metric is MetricKind.ENCOUNTER
-            else profile_metric(graph, references, norm=recipe.profile_norm)
-        )
+) -> tuple[Metric, BoolArray, BoolArray]:
+    """Make the metric, and say which vertices are good enough, and which of those may be picked."""
+    if recipe.metric is MetricKind.ENCOUNTER:
+        along_graph = EncounterMetric(graph=graph)
         begin("outliers")
-        return metric, _inliers(metric, recipe)
+        kept = _inliers(along_graph, recipe)
+        return along_graph, kept, kept
+    if not recipe.bracketed:
+        between_profiles = profile_metric(graph, references, norm=recipe.profile_norm)
+        begin("outliers")
+        kept = _inliers(between_profiles, recipe)
+        return between_profiles, kept, thin_out(kept, limit=recipe.max_candidates)
     bracket = bracket_profiles(times_to(graph, references), references, kernels=graph.kernels)
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
+    candidates = thin_out(kept, limit=recipe.max_candidates)
+    # Of fewer candidates fewer are averaged, over the same area.
+    share = recipe.smoothing_share * (candidates.sum() / kept.sum())
     profiles = bracket.middle
-    profiles[kept] = smooth_profiles(profiles[kept], n_neighbours=round(recipe.smoothing_share * graph.n_vertices))
-    return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept
+    profiles[candidates] = smooth_profiles(profiles[candidates], n_neighbours=round(share * graph.n_vertices), kernels=graph.kernels)
+    return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept, candidates
 
 
 def _inliers(metric: Metric, recipe: Recipe) -> BoolArray:

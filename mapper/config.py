@@ -26,6 +26,7 @@ _PAPER = Recipe(
     moving_time=False,
     bracketed=False,
     smoothing_share=0.0,
+    max_candidates=0,
     outlier_k=10,
     outlier_q=0.9,
     n_points=150,
@@ -43,10 +44,14 @@ _DEFAULT = replace(
     moving_time=True,
     bracketed=True,
     smoothing_share=0.001,
+    max_candidates=20_000,
     n_points=400,
     encounters_per_point=10,
     epsilon_share=None,
 )
+
+# As many as n_points may ask for.
+_MIN_CANDIDATES = 1_000
 
 
 class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -58,6 +63,7 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     moving_time: bool | None = None
     bracketed: bool | None = None
     smoothing_share: Annotated[float, Meta(ge=0, le=0.1)] | None = None
+    max_candidates: Annotated[int, Meta(ge=0, le=10_000_000)] | None = None
     outlier_k: Annotated[int, Meta(ge=1, le=1000)] | None = None
     outlier_q: Annotated[float, Meta(gt=0, le=1)] | None = None
     n_points: Annotated[int, Meta(ge=4, le=1000)] | None = None
@@ -67,7 +73,9 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     speed_mps: Annotated[float, Meta(gt=0)] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a speed that is no number: limits alone let infinity pass."""
+        """Refuse what limits alone let pass: a speed that is no number, and fewer candidates than points to be picked from them."""
+        if self.max_candidates is not None and 0 < self.max_candidates < _MIN_CANDIDATES:
+            raise ValueError(f"max_candidates is {self.max_candidates}, but must be 0 for no limit, or at least {_MIN_CANDIDATES}")
         if self.speed_mps is not None and not isfinite(self.speed_mps):
             raise ValueError(f"speed_mps is {self.speed_mps}, but must be a finite number of metres per second")
 

@@ -61,13 +61,39 @@ def keep_well_bracketed(bracket: ProfileBracket, *, q: float) -> BoolArray:
     return np.asarray(bracket.doubt <= np.quantile(bracket.doubt, q))
 
 
-def smooth_profiles(profiles: FloatArray, *, n_neighbours: int) -> FloatArray:
-    """Replace every profile by the mean of itself and those nearest to it (Euclidean).
+def thin_out(kept: BoolArray, *, limit: int) -> BoolArray:
+    """Take no more than ``limit`` of the vertices that are kept, evenly in the order of their first encounters; 0 takes all.
+
+    Parameters
+    ----------
+    kept
+        Shape (v,), in the order of first encounters.
+
+    Returns
+    -------
+    BoolArray
+        Shape (v,); as many are True as are kept, or ``limit`` where that is fewer.
+
+    Notes
+    -----
+    A share of the time is a share of every place, as all insects walk all the time. More candidates do not make a better map
+    (docs/accuracy.md): the errors of encounters that share a path are alike, and no mean over a place takes them away.
+    """
+    rows = np.flatnonzero(kept)
+    if limit == 0 or len(rows) <= limit:
+        return kept
+    thinned = np.zeros_like(kept)
+    thinned[rows[np.arange(limit) * len(rows) // limit]] = True
+    return thinned
+
+
+def smooth_profiles(profiles: FloatArray, *, n_neighbours: int, kernels: Kernels) -> FloatArray:
+    """Replace every profile by the mean of itself and those nearest to it (Euclidean, ties to the earlier).
 
     Parameters
     ----------
     profiles
-        Shape (v, l).
+        Shape (c, l).
     n_neighbours
         How many are averaged with each; 0 changes nothing.
 
@@ -77,13 +103,4 @@ def smooth_profiles(profiles: FloatArray, *, n_neighbours: int) -> FloatArray:
     share of the encounters, that is over a fixed area, undoes that.
     """
     n_neighbours = min(n_neighbours, len(profiles) - 1)
-    if n_neighbours < 1:
-        return profiles
-    from scipy.spatial import cKDTree  # noqa: PLC0415  # TODO
-
-    _, nearest = cKDTree(profiles).query(profiles, k=n_neighbours + 1)
-    total = np.zeros_like(profiles)
-    # Neighbour by neighbour: all of them at once would need v * n_neighbours * l numbers.
-    for column in np.asarray(nearest).T:
-        total += profiles[column]
-    return total / (n_neighbours + 1)
+    return profiles if n_neighbours < 1 else kernels.average_nearest(profiles, n_nearest=n_neighbours + 1)

@@ -114,6 +114,7 @@ def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
         "moving_time": recipe.moving_time,
         "bracketed": recipe.bracketed,
         "smoothing_share": recipe.smoothing_share,
+        "max_candidates": recipe.max_candidates,
         "outlier_k": recipe.outlier_k,
         "outlier_q": recipe.outlier_q,
         "n_points": recipe.n_points,

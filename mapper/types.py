@@ -114,10 +114,11 @@ class Recipe:
 
     ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
     those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
-    vertices around each. The subsample has ``n_points``, or fewer where ``encounters_per_point`` encounters do not stand behind
-    each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes those trained for this method and
-    metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets the holes found decide.
-    ``speed_mps`` None gives lengths in seconds.
+    vertices around each. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are smoothed and
+    may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
+    ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
+    those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets the
+    holes found decide. ``speed_mps`` None gives lengths in seconds.
     """
 
     method: Method
@@ -126,6 +127,7 @@ class Recipe:
     moving_time: bool
     bracketed: bool
     smoothing_share: float
+    max_candidates: int
     outlier_k: int
     outlier_q: float
     n_points: int
@@ -162,8 +164,9 @@ class ComponentMap:
     """One connected component of the encounter graph, mapped. Lengths are in the unit of the map.
 
     ``intervals[k]`` has shape (m, 2): birth and death in dimension k, longest first; a death that never comes is inf.
-    ``n_used`` encounters were left after the outliers were dropped. ``cover_radius``: none of them is further than this from a point of
-    the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places where a landmark stood.
+    ``n_used`` encounters were left after the outliers were dropped. ``cover_radius``: none of those that could have become points is
+    further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
+    where a landmark stood.
     ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``.
     """
 

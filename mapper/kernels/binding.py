@@ -37,6 +37,8 @@ class Graph(ctypes.Structure):
 
 
 _ROWS = (_Array, _Array, _Array)
+_LEAVES = (_Array, c_int32, c_int32, c_int32, c_int32)
+_TREE = (_Array, _Array, _Array, _Array)
 
 # Name: result, arguments.
 _FUNCTIONS = {
@@ -48,6 +50,8 @@ _FUNCTIONS = {
     "pick_profiles": (c_int32, (_Array, c_int64, c_int32, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
     "read_rows": (c_int64, (_Array, c_int64, _Array, c_int64, c_int64, _Array, _Array, _Array, _Array)),
     "count_lines": (c_int64, (_Array, c_int64)),
+    "plant_tree": (c_int, (*_LEAVES, _Array, _Array, c_int32, *_TREE, POINTER(c_double))),
+    "average_nearest": (c_int, (*_LEAVES, *_TREE, c_double, c_int32, c_int32, c_int32, _Array)),
     "kernels_layout": (c_int64, ()),
     "kernels_sources": (c_int64, ()),
 }

@@ -53,6 +53,13 @@ class Kernels(Protocol):
     def pick_profiles(self, profiles: FloatArray, *, norm: ProfileNorm, n_points: int) -> Picks:
         """Pick maxmin rows of profiles, shape (c, l), l at least 1; see `mapper.subsampling`."""
 
+    def average_nearest(self, profiles: FloatArray, *, n_nearest: int) -> FloatArray:
+        """Average the rows nearest to each row of profiles, shape (c, l), itself among them: shape (c, l).
+
+        ``n_nearest`` from 1 to c. Nearness is Euclidean; ties go to the earlier row. Values are finite, and no two that differ are nearer
+        than 1e-150 or further apart than 1e150.
+        """
+
 
 def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
     """Return the kernels asked for, by argument or else by the environment; "auto" takes the compiled ones where they are.

@@ -19,6 +19,12 @@ _NORM_NUMBERS: Final = {ProfileNorm.MAX: 0, ProfileNorm.RMS: 1}
 _ROWS_OF_A_THREAD: Final = 20_000
 # So that twice as many, the biobots there may be, are still numbered in 32 bits when their table has doubled.
 _MAX_ENCOUNTERS: Final = 2**29 - 1
+# Of the trees of profiles; a search for one row costs as much as a hundred rows elsewhere.
+_ROWS_OF_A_LEAF: Final = 16
+_LEAVES_OF_A_THREAD: Final = 50
+_ROWS_FOR_AXES: Final = 2_000
+# As WIDTH in smoothing.c.
+_SHADOW: Final = 8
 # Sources measured together where there are many: their rows fill whole vectors.
 _LANES: Final = 32
 
@@ -132,6 +138,34 @@ class CompiledKernels:
         m = _check(self._library.pick_profiles(_address(rows), *rows.shape, _NORM_NUMBERS[norm], n_points, *outputs))
         return Picks(chosen=chosen[:m], distances=distances[:m, :m].copy(), cover_radius=radius.value)
 
+    def average_nearest(self, profiles: FloatArray, *, n_nearest: int) -> FloatArray:
+        """See `Kernels.average_nearest`."""
+        rows = np.ascontiguousarray(profiles)
+        n, n_columns = rows.shape
+        depth = ((n - 1) // _ROWS_OF_A_LEAF).bit_length()
+        n_leaves = 2**depth
+        slot = -(-n // (n_leaves * _SHADOW)) * _SHADOW
+        centre, axes = _find_axes(rows[:: max(1, n // _ROWS_FOR_AXES)])
+        order, scale, means = np.empty(n, dtype=np.int32), ctypes.c_double(), np.empty((n, n_columns))
+        in_order = np.empty(n * (n_columns + 3))
+        leaves, boxes = (np.empty(size * _SHADOW, dtype=np.float32) for size in (n_leaves * slot, 4 * n_leaves))
+        shape = (_address(rows), n, n_columns, depth, slot)
+        tree = (_address(order), _address(in_order), _address(leaves), _address(boxes))
+        _check(self._library.plant_tree(*shape, _address(centre), _address(axes), len(axes), *tree, ctypes.byref(scale)))
+
+        def run(begin: int, end: int) -> int:
+            return int(self._library.average_nearest(*shape, *tree, scale, n_nearest, begin, end, _address(means)))
+
+        _share(run, n_leaves, per_thread=_LEAVES_OF_A_THREAD)
+        return means
+
+
+def _find_axes(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Find the middle of some rows and the directions in which they spread most, shape (axes, columns)."""
+    centre = rows.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov(rows, rowvar=False, ddof=0).reshape(len(centre), len(centre)))
+    return centre, np.ascontiguousarray(axes.T[::-1][: _SHADOW - 1])
+
 
 def _address(array: NDArray[np.generic]) -> int:
     return int(array.ctypes.data)
@@ -157,9 +191,9 @@ def _check(outcome: int) -> int:
     return outcome
 
 
-def _share(run: Callable[[int, int], int], n: int) -> None:
+def _share(run: Callable[[int, int], int], n: int, *, per_thread: int = _ROWS_OF_A_THREAD) -> None:
     """Run over all rows, in as many threads as there are processors and rows to make it worth while."""
-    n_threads = max(1, min(len(os.sched_getaffinity(0)), n // _ROWS_OF_A_THREAD))
+    n_threads = max(1, min(len(os.sched_getaffinity(0)), n // per_thread))
     if n_threads == 1:
         _check(run(0, n))
         return

@@ -277,6 +277,16 @@ def test_check_config_reports_every_fault_at_once(tmp_path: Path, capsys: pytest
     assert all(word in errors for word in ("n_points", "magic", "colour"))
 
 
+@pytest.mark.parametrize(("candidates", "code"), [(0, 0), (999, 2), (1_000, 0), (20_000, 0)])
+def test_a_limit_of_candidates_leaves_enough_to_pick_from(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], candidates: int, code: int
+) -> None:
+    config = tmp_path / "mapper.toml"
+    config.write_text(f"[recipe]\nmax_candidates = {candidates}\n")
+    assert main(["--config", str(config), "--check-config"]) == code
+    assert ("at least 1000" in capsys.readouterr().err) == (code == 2)
+
+
 def test_a_reader_that_leaves_is_no_traceback(ring: Path) -> None:
     command = [sys.executable, "-m", "mapper", "run", str(ring / "encounters.csv"), "--json", "-"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -18,8 +18,12 @@ from mapper.window import absent_biobots, make_encounter_table, stationary_spell
 from tests.mapper.graphs import KERNELS
 from tests.mapper.worlds import NS, Row, encounter_rows, mode_spells, table_of, walk_track
 
-RECIPES = [make_recipe(RecipeConfig(method=method, metric=metric)) for method in Method for metric in MetricKind]
-named = pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: f"{recipe.method}-{recipe.metric}")
+_NAMED = [make_recipe(RecipeConfig(method=method, metric=metric)) for method in Method for metric in MetricKind]
+_THINNED = dataclasses.replace(make_recipe(RecipeConfig()), max_candidates=160, smoothing_share=0.03)
+RECIPES = [*_NAMED, _THINNED]
+named = pytest.mark.parametrize(
+    "recipe", RECIPES, ids=lambda recipe: f"{recipe.method}-{recipe.metric}" + "-thinned" * (recipe is _THINNED)
+)
 
 
 def _geometry(result: MapResult) -> object:

@@ -10,7 +10,7 @@ from mapper.encounter_graph import EncounterGraph
 from mapper.kernels import Kernels
 from mapper.metric import times_to
 from mapper.pipeline import count_points
-from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles
+from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed
 from mapper.types import FloatArray, IntArray, Method
 from tests.mapper.graphs import KERNELS, all_times, largest_of
 from tests.mapper.worlds import encounter_rows, mode_spells
@@ -83,14 +83,6 @@ def test_the_vertices_kept_are_the_least_doubtful(doubt: list[float], q: float) 
     assert kept.any()
     assert q < 1 or kept.all()
     assert max(bracket.doubt[kept]) < min(bracket.doubt[~kept], default=np.inf)
-
-
-@given(st.integers(1, 30), st.integers(0, 40), st.integers(0, 10**6))
-def test_smoothing_takes_the_mean_of_the_nearest(n: int, n_neighbours: int, seed: int) -> None:
-    profiles = np.random.default_rng(seed).uniform(0, 100, (n, 3))
-    distance = np.sqrt(((profiles[:, None] - profiles[None]) ** 2).sum(axis=2))
-    nearest = np.argsort(distance, axis=1)[:, : n_neighbours + 1]
-    assert smooth_profiles(profiles, n_neighbours=n_neighbours) == pytest.approx(profiles[nearest].mean(axis=1))
 
 
 @given(st.integers(2, 10**6))
