@@ -3,6 +3,7 @@
 VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
+PEERS := .venv-peers
 ARGS ?=
 
 help:  ## list the targets
@@ -56,8 +57,14 @@ theory: venv  ## compare motion, meetings and walls with theory, and encounters 
 bench-sim: venv  ## how fast the simulator is on one core, beside Mesa (minutes)
 	$(PY) -m studies.bench_sim $(ARGS)
 
-bench-map: venv  ## how fast maps are made, beside the plain ways (ten minutes; ARGS="--quick")
+bench-map: venv  ## how fast maps are made, beside the plain ways, and persistence beside its peers (ten minutes; ARGS="--quick")
 	$(PY) -m studies.bench_map $(ARGS)
+	$(MAKE) bench-rips ARGS=
+
+bench-rips: venv  ## Rips persistence beside GUDHI, ripser.py and giotto-ph, in an environment of its own (a minute)
+	sh scripts/bootstrap.sh $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt -r requirements/peers.txt
+	$(PEERS)/bin/python -m studies.bench_rips $(ARGS)
 
 bench-live: venv  ## 2,000 encounters/s into a store of 500,000: age of the map, the API, the gateway, losses, restart (minutes)
 	$(PY) -m studies.bench_live $(ARGS)
@@ -76,6 +83,6 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) simulator/engine/*.so mapper/kernels/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) simulator/engine/*.so mapper/kernels/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-live campaign-walls check-kernels lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-rips bench-live campaign-walls check-kernels lock docker-check clean

@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT))
 from hatch_build import KERNELS, compile_library, find_compiler  # noqa: E402  # found by the line above
 
 _TREE = ("firmware_protocol", "mapper", "tests", "pyproject.toml")
-_TESTS = ("test_kernels", "test_encounter_graph", "test_metric", "test_profiles", "test_plain_rows")
+_TESTS = ("test_kernels", "test_encounter_graph", "test_metric", "test_profiles", "test_plain_rows", "test_smoothing")
 _SANITIZERS = "-g -fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 
 
