@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-import gudhi
 import numpy as np
 
 from firmware_protocol.contract.records import Cause, Mode
@@ -27,6 +26,7 @@ from simulator.config import Ranges
 from simulator.motion import MotionParameters
 from simulator.world import World
 from studies.arenas import ArenaFamily, draw_arena
+from studies.bottleneck import bottleneck_distance
 from studies.cases import PackageFile, Study, results_of, run_cases
 from studies.cases.flags import add_flags, read_flags
 from studies.errors import StudyError
@@ -140,7 +140,7 @@ def judge_map(run: LongRun, case: LargeCase) -> Outcome:
         n_encounters=result.n_encounters,
         true_holes=run.world.arena.betti.holes,
         holes=result.betti_numbers[1],
-        bottleneck=float(gudhi.bottleneck_distance(found, true) / exact.max()),
+        bottleneck=float(bottleneck_distance(found, true) / exact.max()),
         metric_error=float(np.sqrt(((part.distances - exact) ** 2).sum() / (exact**2).sum())),
         seconds=seconds,
     )
