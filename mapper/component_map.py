@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isqrt
 
 import numpy as np
 
@@ -19,6 +20,11 @@ from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, I
 
 # Distances to one or two places cannot tell the two sides of a line apart.
 _MIN_LANDMARKS = 3
+# Of times from vertices to landmarks [numbers: a gigabyte], and of detours over a third place that brackets try [some seconds of a core].
+# 32 landmarks are used whatever it costs.
+_MAX_PROFILE_NUMBERS = 2**27
+_MAX_DETOURS = 2**34
+_LEAST_MOST = 32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,8 +115,18 @@ def map_component(
 
 def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> tuple[IntArray, tuple[str, ...]]:
     """Choose the places that profiles measure from; the encounter metric asks for none."""
-    if recipe.metric is MetricKind.ENCOUNTER or len(graph.landmarks) >= _MIN_LANDMARKS:
+    if recipe.metric is MetricKind.ENCOUNTER:
         return graph.landmarks, ()
+    if len(graph.landmarks) >= _MIN_LANDMARKS:
+        limit = max(_LEAST_MOST, min(_MAX_PROFILE_NUMBERS // graph.n_vertices, isqrt(_MAX_DETOURS // graph.n_vertices)))
+        references = graph.busiest_landmarks(limit)
+        if len(references) == len(graph.landmarks):
+            return references, ()
+        warning = (
+            f"a landmark stood at {len(graph.landmarks)} places of component {index}; its encounters are measured from the {limit} places "
+            "with most encounters, which is what time and memory allow; a map of a window of time would use more"
+        )
+        return references, (warning,)
     along_graph = EncounterMetric(graph=graph)
     anchors = subsample_maxmin(along_graph, _inliers(along_graph, recipe), n_points=recipe.n_anchors).vertices
     warning = (

@@ -54,6 +54,13 @@ class EncounterGraph:
         """Count the encounters that the vertices stand for."""
         return int(self.multiplicity.sum())
 
+    def busiest_landmarks(self, limit: int) -> IntArray:
+        """Return no more than so many of the landmarks, ascending: those with most encounters, of equals the earlier."""
+        if len(self.landmarks) <= limit:
+            return self.landmarks
+        busiest = np.argsort(-self.multiplicity[self.landmarks], kind="stable")[:limit]
+        return np.sort(self.landmarks[busiest])
+
 
 class Components(Sequence[EncounterGraph]):
     """The connected components of a graph, the one with most encounters first; each is cut out when it is asked for.

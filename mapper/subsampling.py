@@ -5,13 +5,14 @@ from typing import Final
 
 import numpy as np
 
-from mapper.encounter_graph import EncounterGraph
 from mapper.metric import EncounterMetric, Metric, ProfileMetric
 from mapper.types import BoolArray, FloatArray, IntArray
 
 # Numbers held for the distances from hubs: half a gigabyte.
 _MAX_HUB_NUMBERS: Final = 2**26
 _MIN_HUBS: Final = 8
+# Every step of a search looks at all hubs.
+_MAX_HUBS: Final = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,18 +44,11 @@ def subsample_maxmin(metric: Metric, candidates: BoolArray, *, n_points: int) ->
     """
     match metric:
         case EncounterMetric(graph=graph):
-            picks = graph.kernels.pick_along_graph(graph.rows, graph.links, candidates, hubs=_choose_hubs(graph), n_points=n_points)
+            # Any set of vertices gives the same result: landmarks are those that most long paths go through.
+            hubs = graph.busiest_landmarks(min(_MAX_HUBS, max(_MIN_HUBS, _MAX_HUB_NUMBERS // graph.n_vertices)))
+            picks = graph.kernels.pick_along_graph(graph.rows, graph.links, candidates, hubs=hubs, n_points=n_points)
             return Subsample(vertices=picks.chosen, distances=picks.distances, cover_radius=picks.cover_radius)
         case ProfileMetric(graph=graph):
             eligible = np.flatnonzero(candidates)
             picks = graph.kernels.pick_profiles(metric.profiles[eligible], norm=metric.norm, n_points=n_points)
             return Subsample(vertices=eligible[picks.chosen], distances=picks.distances, cover_radius=picks.cover_radius)
-
-
-def _choose_hubs(graph: EncounterGraph) -> IntArray:
-    """Take the landmarks; of more than memory is meant for, those with most encounters. Any set of vertices gives the same result."""
-    limit = max(_MIN_HUBS, _MAX_HUB_NUMBERS // graph.n_vertices)
-    if len(graph.landmarks) <= limit:
-        return graph.landmarks
-    busiest = np.argsort(-graph.multiplicity[graph.landmarks], kind="stable")[:limit]
-    return np.sort(graph.landmarks[busiest])

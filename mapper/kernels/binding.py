@@ -45,7 +45,10 @@ _FUNCTIONS = {
     "build_graph": (c_int, (_Array, _Array, _Array, c_int32, _Array, c_int64, _Array, c_int64, c_int32, POINTER(Graph))),
     "sweep_times": (c_int, (c_int64, _Array, _Array, _Array, c_int32, c_int32, _Array, _Array)),
     "sum_neighbours": (c_int, (*_ROWS, _Array, c_int32, c_int32, c_int32, c_int64, _Array)),
-    "pick_maxmin": (c_int32, (*_ROWS, c_int32, c_int32, _Array, _Array, _Array, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
+    "pick_maxmin": (
+        c_int32,
+        (*_ROWS, c_int32, c_int32, _Array, _Array, _Array, c_int32, _Array, _Array, POINTER(c_int32), POINTER(c_double)),
+    ),
     "bracket": (c_int, (_Array, c_int64, c_int32, _Array, _Array)),
     "pick_profiles": (c_int32, (_Array, c_int64, c_int32, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
     "read_rows": (c_int64, (_Array, c_int64, _Array, c_int64, c_int64, _Array, _Array, _Array, _Array)),

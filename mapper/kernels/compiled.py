@@ -85,6 +85,13 @@ class CompiledKernels:
 
     def sweep_times(self, links: Links, *, n_vertices: int, sources: IntArray) -> FloatArray:
         """See `Kernels.sweep_times`."""
+        if len(sources) > _LANES:
+            # Between passes the table between the sources is closed, which is cubic in their number.
+            whole = np.empty((n_vertices, len(sources)))
+            for begin in range(0, len(sources), _LANES):
+                some = slice(begin, begin + _LANES)
+                whole[:, some] = self.sweep_times(links, n_vertices=n_vertices, sources=sources[some])
+            return whole
         table = np.empty((n_vertices, len(sources)))
         chosen = np.ascontiguousarray(sources, dtype=np.int32)
         _check(self._library.sweep_times(*_links(links), n_vertices, len(chosen), _address(chosen), _address(table)))
@@ -105,14 +112,15 @@ class CompiledKernels:
         """See `Kernels.pick_along_graph`."""
         v = len(candidates)
         from_hubs = self.sweep_times(links, n_vertices=v, sources=hubs)
-        chosen, distances, radius = np.empty(n_points, dtype=np.int32), np.zeros((n_points, n_points)), ctypes.c_double()
+        chosen, distances = np.empty(n_points, dtype=np.int32), np.zeros((n_points, n_points))
+        radius, is_complete = ctypes.c_double(), ctypes.c_int32()
         hub_vertices = np.ascontiguousarray(hubs, dtype=np.int32)
         arrays = (_address(hub_vertices), _address(from_hubs), _address(candidates))
-        is_pruned = len(hubs) == 0
-        outputs = (_address(chosen), _address(distances), ctypes.byref(radius))
-        m = _check(self._library.pick_maxmin(*_rows(rows), v, len(hubs), *arrays, n_points, int(is_pruned), *outputs))
+        outputs = (_address(chosen), _address(distances), ctypes.byref(is_complete), ctypes.byref(radius))
+        m = _check(self._library.pick_maxmin(*_rows(rows), v, len(hubs), *arrays, n_points, *outputs))
         picked = chosen[:m].astype(np.int64)
-        if is_pruned:
+        if not is_complete.value:
+            del from_hubs
             batches = [self.sweep_times(links, n_vertices=v, sources=some)[picked] for some in np.split(picked, range(_LANES, m, _LANES))]
             return Picks(chosen=picked, distances=np.hstack(batches), cover_radius=radius.value)
         return Picks(chosen=picked, distances=distances[:m, :m].copy(), cover_radius=radius.value)

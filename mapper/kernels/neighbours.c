@@ -1,5 +1,6 @@
 /* Searches along the graph that stop early: nearest neighbours, and maxmin subsampling with the distances inside the subsample. */
 #include "kernels.h"
+#include "queue.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -70,42 +71,6 @@ KERNEL int sum_neighbours(const int64_t *row_start, const int32_t *neighbour, co
   return 0;
 }
 
-typedef struct {
-  double at;
-  int32_t vertex;
-} entry;
-
-typedef struct {
-  entry *heap;
-  int64_t n, capacity;
-} queue;
-
-static int queue_push(queue *q, double at, int32_t vertex) {
-  if (q->n == q->capacity) {
-    int64_t capacity = q->capacity ? 2 * q->capacity : 1024;
-    entry *heap = realloc(q->heap, (size_t)capacity * sizeof *heap);
-    if (!heap) return NO_MEMORY;
-    q->heap = heap;
-    q->capacity = capacity;
-  }
-  int64_t place = q->n++;
-  for (int64_t parent; place > 0 && q->heap[parent = (place - 1) / 2].at > at; place = parent) q->heap[place] = q->heap[parent];
-  q->heap[place] = (entry){at, vertex};
-  return 0;
-}
-
-static entry queue_pop(queue *q) {
-  entry first = q->heap[0], last = q->heap[--q->n];
-  int64_t place = 0;
-  for (int64_t child; (child = 2 * place + 1) < q->n; place = child) {
-    if (child + 1 < q->n && q->heap[child + 1].at < q->heap[child].at) child++;
-    if (last.at <= q->heap[child].at) break;
-    q->heap[place] = q->heap[child];
-  }
-  q->heap[place] = last;
-  return first;
-}
-
 /* What a subsample needs: the graph, the hubs all long paths go through, and how far vertices are from the picks. */
 typedef struct {
   const int64_t *row_start;
@@ -131,7 +96,7 @@ TWICE static double through_hubs(const double *a, const double *b, int32_t n) {
 }
 
 /* Search from a pick along paths that touch no hub, only as far as they are shorter than those over a hub; return how many were reached. With
-   `is_pruned` only as far as this pick is nearer than the others are. */
+   `is_pruned` only as far as this pick is nearer than the others are: what lies beyond is nearer to one of them too. */
 static int64_t search(field *f, int32_t pick, int is_pruned) {
   int64_t n_touched = 0;
   if (f->is_hub[pick]) return 0;
@@ -155,6 +120,9 @@ static int64_t search(field *f, int32_t pick, int is_pruned) {
   }
   return n_touched;
 }
+
+/* Vertices that all unpruned searches together may reach, in shares of all: a sweep of the picks costs about as much. */
+enum { SEARCHES = 10 };
 
 static double distance_to_picks(const field *f, int32_t v) {
   double over_hub = through_hubs(f->hub_near, f->from_hubs + (int64_t)v * f->n_hubs, f->n_hubs);
@@ -207,16 +175,20 @@ static void settle(field *f, int32_t pick, int64_t n_touched) {
     if (own[h] < f->hub_near[h]) f->hub_near[h] = own[h];
 }
 
-static int32_t pick_all(field *f, const uint8_t *is_candidate, int32_t first, int32_t n_points, int is_pruned, candidate *heap,
-                        int32_t *picks, double *distances, double *cover_radius) {
+static int32_t pick_all(field *f, const uint8_t *is_candidate, int32_t first, int32_t n_points, candidate *heap, int32_t *picks,
+                        double *distances, int32_t *is_complete, double *cover_radius) {
   int32_t n_picks = 0, next = first;
+  int64_t n_left = f->n_hubs ? SEARCHES * (int64_t)f->n_vertices : 0;
   int64_t n_candidates = 0;
   candidate furthest = {INFINITY, first};
   while (n_picks < n_points && furthest.value > 0) {
+    int is_pruned = n_left <= 0;
     int64_t n_touched = search(f, next, is_pruned);
     if (n_touched < 0) return NO_MEMORY;
+    n_left -= n_touched;
     const double *own = f->from_hubs + (int64_t)next * f->n_hubs;
-    for (int32_t j = 0; j < n_picks && !is_pruned; j++) {
+    *is_complete &= !is_pruned;
+    for (int32_t j = 0; j < n_picks && *is_complete; j++) {
       double over_hub = through_hubs(own, f->from_hubs + (int64_t)picks[j] * f->n_hubs, f->n_hubs), direct = f->found[picks[j]];
       distances[(int64_t)n_picks * n_points + j] = distances[(int64_t)j * n_points + n_picks] = direct < over_hub ? direct : over_hub;
     }
@@ -232,12 +204,12 @@ static int32_t pick_all(field *f, const uint8_t *is_candidate, int32_t first, in
 
 /* Pick up to n_points candidates, each the furthest from those before it; the first is the earliest candidate, ties go to the earlier.
 
-   from_hubs holds the times from every vertex to each of n_hubs vertices (none, or all landmarks). With `is_pruned` each search ends where an earlier
-   pick is nearer, which is what makes a graph without hubs quick, and `distances` (n_points * n_points) stay as they are. Returns how many
-   were picked: fewer where every candidate is at distance zero from a pick; or a negative number. */
+   from_hubs holds the times from every vertex to each of n_hubs vertices. Good hubs keep the searches short, and `distances` (n_points *
+   n_points) come with them. Where they do not, or where there are none, each search ends where an earlier pick is nearer; distances are then not
+   known, and is_complete is 0. Returns how many were picked: fewer where every candidate is at distance zero from a pick; or a negative number. */
 KERNEL int32_t pick_maxmin(const int64_t *row_start, const int32_t *neighbour, const double *time, int32_t n_vertices, int32_t n_hubs,
-                           const int32_t *hubs, const double *from_hubs, const uint8_t *is_candidate, int32_t n_points, int32_t is_pruned,
-                           int32_t *picks, double *distances, double *cover_radius) {
+                           const int32_t *hubs, const double *from_hubs, const uint8_t *is_candidate, int32_t n_points, int32_t *picks,
+                           double *distances, int32_t *is_complete, double *cover_radius) {
   size_t room = (size_t)n_vertices + 1;
   field f = {row_start, neighbour, time, n_vertices, n_hubs, from_hubs, calloc(room, 1), malloc(room * sizeof(double)),
              malloc(room * sizeof(double)), malloc(((size_t)n_hubs + 1) * sizeof(double)), malloc(room * sizeof(int32_t)), {0}};
@@ -252,7 +224,8 @@ KERNEL int32_t pick_maxmin(const int64_t *row_start, const int32_t *neighbour, c
     int32_t first = 0;
     while (first < n_vertices && !is_candidate[first]) first++;
     *cover_radius = 0;
-    if (first < n_vertices) n_picks = pick_all(&f, is_candidate, first, n_points, is_pruned, heap, picks, distances, cover_radius);
+    *is_complete = 1;
+    if (first < n_vertices) n_picks = pick_all(&f, is_candidate, first, n_points, heap, picks, distances, is_complete, cover_radius);
   }
   free(f.is_hub);
   free(f.found);

@@ -205,9 +205,15 @@ def compare_profiles(columns: FloatArray, row: int, *, norm: ProfileNorm) -> Flo
     return total if norm is ProfileNorm.MAX else np.sqrt(total / len(columns))
 
 
+def _find_node(nodes: IntArray, biobot: int) -> tuple[int, int]:
+    # Not biobot + 1: the largest id has none.
+    wanted = np.int64(biobot)
+    return int(np.searchsorted(nodes, wanted, side="left")), int(np.searchsorted(nodes, wanted, side="right"))
+
+
 def _find_places(commanded: Stands, biobot: int, at: IntArray) -> IntArray:
     """Say in which of all commanded spells each instant of a biobot lies, -1 for none."""
-    first, last = np.searchsorted(commanded.nodes, [biobot, biobot + 1]).tolist()
+    first, last = _find_node(commanded.nodes, biobot)
     if first == last:
         return np.full(len(at), -1, dtype=np.int64)
     spell = first + np.searchsorted(commanded.begins[first:last], at, side="right") - 1
@@ -217,7 +223,7 @@ def _find_places(commanded: Stands, biobot: int, at: IntArray) -> IntArray:
 
 def _time_inside(still: Stands, biobot: int, at: IntArray) -> IntArray:
     """Measure how much of the time up to each instant a biobot stood still."""
-    first, last = np.searchsorted(still.nodes, [biobot, biobot + 1]).tolist()
+    first, last = _find_node(still.nodes, biobot)
     if first == last:
         return np.zeros(len(at), dtype=np.int64)
     begin, end = still.begins[first:last], still.ends[first:last]

@@ -260,7 +260,7 @@ static double find_nearest(const tree *t, const double *row, const float *shadow
 
 /* Sort numbers below `limit`, digit by digit; `other` is room for as many. */
 static void sort_many(int32_t *numbers, int32_t *other, int32_t n, int32_t limit) {
-  for (int32_t shift = 0; limit >> shift > 0; shift += DIGIT) {
+  for (int32_t shift = 0; shift < 32 && limit >> shift > 0; shift += DIGIT) {
     int32_t starts[(1 << DIGIT) + 1] = {0};
     for (int32_t i = 0; i < n; i++) starts[((numbers[i] >> shift) & ((1 << DIGIT) - 1)) + 1]++;
     for (int32_t d = 0; d < 1 << DIGIT; d++) starts[d + 1] += starts[d];

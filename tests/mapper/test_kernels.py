@@ -27,7 +27,14 @@ def sightings(draw: st.DrawFn) -> Sightings:
     """Centres in no order, with ties, at times as far apart as there may be; biobots in several crowds, with any number as id."""
     n = draw(st.integers(0, 40))
     last = draw(st.sampled_from([0, 3, 40, 2**52]))
-    ids = draw(st.lists(st.integers(-(2**63), 2**63 - 1) | st.integers(1, 4), min_size=2, max_size=12, unique=True))
+    ids = draw(
+        st.lists(
+            st.integers(-(2**63), 2**63 - 1) | st.integers(1, 4) | st.sampled_from([-(2**63), 2**63 - 1]),
+            min_size=2,
+            max_size=12,
+            unique=True,
+        )
+    )
     centres = draw(st.lists(st.integers(0, last), min_size=n, max_size=n))
     pairs = draw(st.lists(st.lists(st.sampled_from(ids), min_size=2, max_size=2, unique=True).map(sorted), min_size=n, max_size=n))
     columns = np.array(pairs, dtype=np.int64).reshape(n, 2)
@@ -38,7 +45,7 @@ def sightings(draw: st.DrawFn) -> Sightings:
 def stands(draw: st.DrawFn) -> Stands:
     """Spells of some biobots, some of which are in no encounter; a biobot's are disjoint, and may be instants."""
     rows = []
-    for node in sorted(draw(st.sets(st.integers(0, 5), max_size=4))):
+    for node in sorted(draw(st.sets(st.integers(0, 5) | st.sampled_from([-(2**63), 2**63 - 1]), max_size=4))):
         instants = sorted(draw(st.sets(st.integers(0, 45), max_size=6)))
         rows += [(node, begin, end - draw(st.integers(0, 1))) for begin, end in pairwise(instants) if draw(st.booleans())]
     columns = np.array([row for row in rows if row[1] <= row[2]], dtype=np.int64).reshape(-1, 3)

@@ -5,6 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_protocol.contract.records import Cause, Mode
+from firmware_protocol.units import NodeId
 from mapper.encounter_graph import EncounterGraph
 from mapper.kernels import Kernels
 from mapper.metric import EncounterMetric, Metric, profile_metric
@@ -12,7 +14,7 @@ from mapper.outliers import keep_inliers, mean_neighbour_distance
 from mapper.subsampling import subsample_maxmin
 from mapper.types import ModeSpell, ProfileNorm
 from tests.mapper.graphs import KERNELS, all_times, largest_of, matrix_of
-from tests.mapper.worlds import Row, encounter_rows, mode_spells, walk_track
+from tests.mapper.worlds import Row, encounter_rows, mode_spells, table_of, walk_track
 
 kinds_of_kernels = st.sampled_from(KERNELS)
 with_all_kernels = pytest.mark.parametrize("kernels", KERNELS, ids=lambda kernels: kernels.name)
@@ -106,3 +108,48 @@ def test_the_cover_radius_never_grows_with_more_points(rows: list[Row], spells: 
     everything = np.ones(metric.graph.n_vertices, dtype=bool)
     radii = [subsample_maxmin(metric, everything, n_points=n).cover_radius for n in range(1, 12)]
     assert radii == sorted(radii, reverse=True)
+
+
+def _zigzag(n: int) -> list[Row]:
+    """Each biobot has two encounters, one early and one late, so that the path along all of them turns at every one."""
+    return [(10 * n * (i % 2) + i, 10 * n * (i % 2) + i, i + 1, i + 2) for i in range(n)]
+
+
+@with_all_kernels
+def test_paths_that_turn_at_every_encounter_are_measured_too(kernels: Kernels) -> None:
+    """300 encounters; the gaps between one and the next are 10 n + 1 and 10 n - 1 in turns, and a tick is half of one."""
+    n = 300
+    graph = largest_of(_zigzag(n), (), kernels)
+    place = table_of(_zigzag(n)).id1[graph.first_encounter] - 1
+    gaps = [2 * (10 * n + (1 if i % 2 == 0 else -1)) for i in range(n - 1)]
+    along = np.concatenate([[0], np.cumsum(gaps)])[place]
+    assert np.array_equal(all_times(graph), np.abs(along[:, None] - along[None, :]))
+
+
+def test_many_landmarks_and_landmarks_that_met_hardly_anybody_change_no_pick() -> None:
+    """Hubs of all kinds: none, one that is on no path, one for every biobot; searches that meet no good hub end another way."""
+    rows = [*_free_walk(1500, seed=4), (10, 11, 1, 99)]
+    for nodes in ([], [99], [99, 1], range(1, 9)):
+        spells = [ModeSpell(node=NodeId(node), t_start_ns=0, t_end_ns=None, mode=Mode.S, cause=Cause.COMMAND) for node in nodes]
+        one, other = (
+            subsample_maxmin(EncounterMetric(graph=graph), np.ones(graph.n_vertices, dtype=bool), n_points=40)
+            for graph in (largest_of(rows, spells, kernels) for kernels in KERNELS)
+        )
+        assert np.array_equal(one.vertices, other.vertices)
+        assert np.array_equal(one.distances, other.distances)
+        assert one.cover_radius == other.cover_radius
+
+
+def test_more_sources_than_are_swept_at_once_measure_the_same() -> None:
+    compiled, plain = (largest_of(_free_walk(400, seed=5), (), kernels) for kernels in KERNELS)
+    assert np.array_equal(all_times(compiled), all_times(plain))
+
+
+def test_the_busiest_landmarks_are_kept_and_equals_by_time() -> None:
+    spells = [ModeSpell(node=NodeId(node), t_start_ns=0, t_end_ns=None, mode=Mode.S, cause=Cause.COMMAND) for node in (1, 2, 3)]
+    rows: list[Row] = [(0, 0, 1, 9), (5, 5, 2, 9), (7, 7, 3, 9), (9, 9, 3, 8)]
+    graph = largest_of(rows, spells, KERNELS[0])
+    assert graph.landmarks.tolist() == [0, 1, 2]
+    assert graph.busiest_landmarks(3).tolist() == [0, 1, 2]
+    assert graph.busiest_landmarks(2).tolist() == [0, 2]
+    assert graph.busiest_landmarks(1).tolist() == [2]

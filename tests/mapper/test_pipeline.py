@@ -218,3 +218,12 @@ def test_with_a_quantile_of_one_no_encounter_is_dropped() -> None:
 def test_in_an_empty_table_nobody_stands() -> None:
     assert stationary_spells(table_of([]), [1, 2]) == ()
     assert absent_biobots(table_of([]), []) == ()
+
+
+def test_encounters_of_a_clock_that_is_years_off_are_warned_of() -> None:
+    rows, spells = walk_track(n_landmarks=12, n_walkers=10, duration_s=60, seed=3, is_ring=True)
+    years = 60 * 86_400 * NS
+    odd = [*rows, (rows[0][0] + years, rows[0][0] + years, rows[0][2], rows[0][3])]
+    assert not any("clock" in warning for warning in compute_map(table_of(rows), spells, make_recipe(RecipeConfig())).warnings)
+    (warning,) = [one for one in compute_map(table_of(odd), spells, make_recipe(RecipeConfig())).warnings if "clock" in one]
+    assert "span 60 days; times beyond 52 are rounded" in warning

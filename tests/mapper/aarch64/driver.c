@@ -12,7 +12,7 @@ int build_graph(const int64_t *, const int64_t *, const int64_t *, int32_t, cons
 int sweep_times(int64_t, const int32_t *, const int32_t *, const double *, int32_t, int32_t, const int32_t *, double *);
 int sum_neighbours(const int64_t *, const int32_t *, const double *, const int32_t *, int32_t, int32_t, int32_t, int64_t, double *);
 int32_t pick_maxmin(const int64_t *, const int32_t *, const double *, int32_t, int32_t, const int32_t *, const double *, const uint8_t *, int32_t,
-                    int32_t, int32_t *, double *, double *);
+                    int32_t *, double *, int32_t *, double *);
 int bracket(double *, int64_t, int32_t, const double *, double *);
 int32_t pick_profiles(const double *, int64_t, int32_t, int32_t, int32_t, int64_t *, double *, double *);
 
@@ -91,9 +91,11 @@ int main(int argc, char **argv) {
   memset(everyone, 1, v);
   int32_t *picks = make_room(4, n_points);
   double *distances = make_room(8, n_points * n_points), radius = 0;
-  int32_t m = pick_maxmin(g.row_start, g.neighbour, g.time, g.n_vertices, n_hubs, places, times, everyone, (int32_t)n_points, 0, picks, distances,
-                          &radius);
+  int32_t is_complete = 0;
+  int32_t m = pick_maxmin(g.row_start, g.neighbour, g.time, g.n_vertices, n_hubs, places, times, everyone, (int32_t)n_points, picks, distances,
+                          &is_complete, &radius);
   check(m);
+  check(is_complete - 1);
   write_array("picks", picks, 4, (size_t)m);
   write_array("distances", distances, 8, n_points * n_points);
   write_array("radius", &radius, 8, 1);
