@@ -20,7 +20,7 @@ class PlainKernels:
     name: Final = KernelsKind.PLAIN
 
     def __init__(self, *, reason: str) -> None:
-        self.shortfall: Final = f"plain kernels, 7 to 50 times slower than compiled ones: {reason}"
+        self.shortfall: Final = f"plain kernels, 3 to 50 times slower than compiled ones: {reason}"
 
     def contract(
         self, centres: IntArray, id1: IntArray, id2: IntArray, *, still: Stands, commanded: Stands, moving_time: bool
