@@ -25,7 +25,9 @@ _LEAVES_OF_A_THREAD: Final = 50
 _ROWS_FOR_AXES: Final = 2_000
 # As WIDTH in smoothing.c.
 _SHADOW: Final = 8
-# Sources measured together where there are many: their rows fill whole vectors.
+# Landmarks measured together: between passes the table between them is closed, which saves passes, but is cubic in their number.
+_MOST_SOURCES: Final = 128
+# Picks measured together, whose table saves nothing: as many as memory is meant for.
 _LANES: Final = 32
 
 
@@ -85,17 +87,17 @@ class CompiledKernels:
 
     def sweep_times(self, links: Links, *, n_vertices: int, sources: IntArray) -> FloatArray:
         """See `Kernels.sweep_times`."""
-        if len(sources) > _LANES:
-            # Between passes the table between the sources is closed, which is cubic in their number.
+        if len(sources) > _MOST_SOURCES:
             whole = np.empty((n_vertices, len(sources)))
-            for begin in range(0, len(sources), _LANES):
-                some = slice(begin, begin + _LANES)
+            for begin in range(0, len(sources), _MOST_SOURCES):
+                some = slice(begin, begin + _MOST_SOURCES)
                 whole[:, some] = self.sweep_times(links, n_vertices=n_vertices, sources=sources[some])
             return whole
-        table = np.empty((n_vertices, len(sources)))
         chosen = np.ascontiguousarray(sources, dtype=np.int32)
-        _check(self._library.sweep_times(*_links(links), n_vertices, len(chosen), _address(chosen), _address(table)))
-        return table
+        # Rows are padded to whole vectors while they are computed.
+        room = np.empty(n_vertices * (-(-len(chosen) // 4) * 4))
+        _check(self._library.sweep_times(*_links(links), n_vertices, len(chosen), _address(chosen), _address(room)))
+        return room[: n_vertices * len(chosen)].reshape(n_vertices, len(chosen))
 
     def sum_neighbour_times(self, rows: Rows, multiplicity: VertexArray, *, k: int) -> FloatArray:
         """See `Kernels.sum_neighbour_times`."""

@@ -97,15 +97,15 @@ static int search_on(int64_t n_links, const int32_t *from, const int32_t *to, co
   return outcome;
 }
 
-/* Measure from n_sources distinct vertices to all; rows of `out` have n_sources numbers. Returns the number of passes, or a negative number. */
+/* Measure from n_sources distinct vertices to all; rows of `out` have n_sources numbers, but there is room for rows of the next multiple of
+   four. Returns the number of passes, or a negative number. */
 KERNEL int sweep_times(int64_t n_links, const int32_t *from, const int32_t *to, const double *time, int32_t n_vertices, int32_t n_sources,
                        const int32_t *sources, double *out) {
   int32_t stride = (n_sources + WHOLE - 1) / WHOLE * WHOLE;
   size_t size = (size_t)n_vertices * (size_t)stride;
-  /* Where rows need no padding, what comes out is the table itself. */
-  double *table = stride == n_sources ? out : malloc((size + 1) * sizeof *table);
+  double *table = out;
   int32_t *changed = malloc(((size_t)n_vertices + 1) * sizeof *changed);
-  int32_t pass = table && changed ? 0 : NO_MEMORY;
+  int32_t pass = changed ? 0 : NO_MEMORY;
   if (pass == 0) {
     for (size_t i = 0; i < size; i++) table[i] = INFINITY;
     for (int32_t v = 0; v < n_vertices; v++) changed[v] = -3;
@@ -120,10 +120,9 @@ KERNEL int sweep_times(int64_t n_links, const int32_t *from, const int32_t *to, 
       close_table(table, stride, sources, n_sources, changed, pass);
     }
     if (quiet < 2 && search_on(n_links, from, to, time, n_vertices, table, stride, n_sources, changed, pass) < 0) pass = NO_MEMORY;
-    if (table != out)
-      for (int32_t v = 0; v < n_vertices; v++) memcpy(out + (int64_t)v * n_sources, table + (int64_t)v * stride, (size_t)n_sources * sizeof *out);
+    for (int32_t v = 1; v < n_vertices && stride != n_sources; v++)
+      memmove(out + (int64_t)v * n_sources, table + (int64_t)v * stride, (size_t)n_sources * sizeof *out);
   }
-  if (table != out) free(table);
   free(changed);
   return pass;
 }
