@@ -20,8 +20,8 @@ from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, I
 
 # Distances to one or two places cannot tell the two sides of a line apart.
 _MIN_LANDMARKS = 3
-# Of times from vertices to landmarks [numbers: half a gigabyte], and of detours over a third place that brackets try [some seconds of a core].
-# 32 landmarks are used whatever it costs.
+# Of times from vertices to landmarks [numbers: half a gigabyte], and of detours over a third place that brackets try [some seconds of a
+# core]. 32 landmarks are used whatever it costs.
 _MAX_PROFILE_NUMBERS = 2**26
 _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
