@@ -14,7 +14,8 @@ from firmware_protocol.contract.records import EncounterRecord, JournalRecord, M
 from firmware_protocol.units import NodeId
 from mapper.types import BoolArray, IntArray
 
-_MAX_INTEGER = 2**63 - 1
+_MIN_INTEGER, _MAX_INTEGER = -(2**63), 2**63 - 1
+_MAX_NODE = 2**64 - 1
 # Year 2116: any two instants below differ by less than a table can span.
 _MAX_WALL_NS = 2**62
 _FIRST_CAPACITY = 1024
@@ -56,13 +57,24 @@ def wall_interval(record: JournalRecord) -> tuple[int, int | None]:
 
 
 def is_fit(record: JournalRecord) -> bool:
-    """Say whether a record can be meant: it ends after it begins, between 1970 and 2116, and nobody meets itself."""
+    """Say whether a record can be meant: it ends after it begins, between 1970 and 2116, and nobody meets itself.
+
+    Each of its numbers fits a signed column of 64 bits, not only the sums on the wall clock: a store is read by columns.
+    """
     begin, end = wall_interval(record)
+    instants = (record.wall_anchor_ns, record.t_start_ns, 0 if isinstance(record, MissionRecord) else record.t_end_ns or 0)
+    if min(instants) < _MIN_INTEGER or max(instants) > _MAX_INTEGER:
+        return False
     if not 0 <= begin <= (begin if end is None else end) < _MAX_WALL_NS:
         return False
     if isinstance(record, EncounterRecord) and record.node_a == record.node_b:
         return False
     return record.boot >= 0 and max(record.boot, record.sequence, record.revision) <= _MAX_INTEGER
+
+
+def is_fit_for_columns(*, begin_ns: int, end_ns: int, node_a: int, node_b: int) -> bool:
+    """Say whether an encounter's interval on the wall clock and its ids can stand in columns."""
+    return 0 <= begin_ns <= end_ns < _MAX_WALL_NS and 0 <= node_a <= _MAX_NODE and 0 <= node_b <= _MAX_NODE
 
 
 def make_rows(rows: Sequence[int], records: Sequence[EncounterRecord]) -> EncounterRows:

@@ -1,14 +1,18 @@
 """Read all encounters of a store at once: half a million in about a second, because only what a map needs of them is decoded."""
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import msgspec
+import msgspec.structs
 import numpy as np
 
 from firmware_protocol.errors import RecordError
-from mapper.record_columns import EncounterRows
+from mapper.log import EventLog
+from mapper.record_columns import EncounterRows, is_fit_for_columns
 from mapper.types import IntArray
+
+_log = EventLog(__name__)
 
 _CHUNK = 20_000
 
@@ -34,21 +38,47 @@ def load_encounters(database: sqlite3.Connection, *, kind: int) -> Iterator[tupl
     ------
     RecordError
         A body is no encounter.
+
+    Notes
+    -----
+    Rows whose numbers fit no column are left out, and the log says how many: a store opens whatever an earlier version let into it.
     """
     cursor = database.execute("SELECT id, change, body FROM record WHERE +kind = ? ORDER BY id", (kind,))
+    n_left_out = 0
     while chunk := cursor.fetchmany(_CHUNK):
-        rows, changes, bodies = zip(*chunk, strict=True)
+        rows, changes, bodies = (tuple(column) for column in zip(*chunk, strict=True))
         records = _decode(bodies)
-        anchor = np.array([record.wall_anchor_ns for record in records], dtype=np.int64)
-        encounters = EncounterRows(
-            row=np.array(rows, dtype=np.int64),
-            t_start_ns=anchor + np.array([record.t_start_ns for record in records], dtype=np.int64),
-            t_end_ns=anchor + np.array([record.t_end_ns for record in records], dtype=np.int64),
-            id1=np.array([record.node_a for record in records], dtype=np.uint64).view(np.int64),
-            id2=np.array([record.node_b for record in records], dtype=np.uint64).view(np.int64),
-            counts=~np.array([record.is_void for record in records], dtype=np.bool_),
-        )
+        try:
+            encounters = _make_rows(rows, records)
+        except OverflowError:
+            placed = [(row, change, _on_wall_clock(record)) for row, change, record in zip(rows, changes, records, strict=True)]
+            fit = [(row, change, record) for row, change, record in placed if record is not None]
+            n_left_out += len(placed) - len(fit)
+            changes = tuple(change for _, change, _ in fit)
+            encounters = _make_rows([row for row, _, _ in fit], [record for _, _, record in fit])
         yield encounters, np.array(changes, dtype=np.int64)
+    if n_left_out:
+        _log.warning("store.rows_left_out", encounters=n_left_out, reason="their numbers have more than 64 bits, or make no interval")
+
+
+def _make_rows(rows: Sequence[int], records: Sequence[_Lean]) -> EncounterRows:
+    anchor = np.array([record.wall_anchor_ns for record in records], dtype=np.int64)
+    return EncounterRows(
+        row=np.array(rows, dtype=np.int64),
+        t_start_ns=anchor + np.array([record.t_start_ns for record in records], dtype=np.int64),
+        t_end_ns=anchor + np.array([record.t_end_ns for record in records], dtype=np.int64),
+        id1=np.array([record.node_a for record in records], dtype=np.uint64).view(np.int64),
+        id2=np.array([record.node_b for record in records], dtype=np.uint64).view(np.int64),
+        counts=~np.array([record.is_void for record in records], dtype=np.bool_),
+    )
+
+
+def _on_wall_clock(record: _Lean) -> _Lean | None:
+    """Add the anchor without a limit of bits; None for what then stands in no column."""
+    begin, end = record.t_start_ns + record.wall_anchor_ns, record.t_end_ns + record.wall_anchor_ns
+    if not is_fit_for_columns(begin_ns=begin, end_ns=end, node_a=record.node_a, node_b=record.node_b):
+        return None
+    return msgspec.structs.replace(record, wall_anchor_ns=0, t_start_ns=begin, t_end_ns=end)
 
 
 def _decode(bodies: tuple[bytes, ...]) -> list[_Lean]:

@@ -9,11 +9,13 @@ import textwrap
 from contextlib import closing
 from pathlib import Path
 
+import msgspec.structs
 import pytest
-from hypothesis import given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.contract.records import Cause, EncounterRecord, JournalRecord, MissionPhase, Mode
+from firmware_protocol.contract.records import Cause, EncounterRecord, JournalRecord, MissionPhase, Mode, encode_journal_record
+from firmware_protocol.units import Nanoseconds
 from mapper.errors import StoreError
 from mapper.offsets import OffsetSet
 from mapper.record_columns import to_signed, to_unsigned
@@ -193,6 +195,60 @@ def test_unfit_records_are_left_out_but_leave_no_gap() -> None:
     assert (applied.n_unfit, applied.n_new) == (7, 1)
     assert store.watermark(**SOURCE) == 7
     store.close()
+
+
+# What MessagePack can carry; most of it lies around the borders of signed numbers.
+_numbers = st.integers(-(2**63), 2**64 - 1) | st.sampled_from([-(2**63), -1, 0, 2**62, 2**63 - 1, 2**63, 2**64 - 1])
+
+
+@given(
+    kind=st.sampled_from(["encounter", "mode", "mission"]),
+    anchor=_numbers,
+    begin=_numbers,
+    length=st.integers(0, 2**62),
+    as_sum=st.booleans(),
+)
+@example(kind="encounter", anchor=-(2**63) + ANCHOR_NS, begin=ANCHOR_NS + 5, length=4, as_sum=True)
+def test_whatever_is_taken_in_is_there_after_a_restart(
+    tmp_path_factory: pytest.TempPathFactory, kind: str, anchor: int, begin: int, length: int, as_sum: bool
+) -> None:
+    start = begin % 2**62 - anchor if as_sum else begin  # on the wall clock, or as it comes
+    instants = start, start + length
+    assume(all(-(2**63) <= instant < 2**64 for instant in instants))
+    records: dict[str, JournalRecord] = {
+        "encounter": encounter(1, t_ns=instants),
+        "mode": mode(1, node=3, t_ns=instants),
+        "mission": mission(1, phase=MissionPhase.EXPLORATION, t_ns=start),
+    }
+    path = tmp_path_factory.mktemp("store") / "store.db"
+    with closing(Store(path)) as store:
+        store.apply([batch([msgspec.structs.replace(records[kind], wall_anchor_ns=anchor), encounter(2)])])
+        before, phases = content(store), store.missions()
+        assert store.watermark(**SOURCE) == 2
+    with closing(Store(path)) as store:
+        assert (content(store), store.missions()) == (before, phases)
+
+
+def test_a_store_opens_with_rows_that_an_earlier_version_should_have_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "store.db"
+    with closing(Store(path)) as store:
+        store.apply([batch([encounter(n) for n in range(1, 5)])])
+    odd = msgspec.structs.replace(
+        encounter(2), wall_anchor_ns=Nanoseconds(-(2**63) + ANCHOR_NS), t_start_ns=Nanoseconds(2**63), t_end_ns=Nanoseconds(2**63 + 9)
+    )
+    never = msgspec.structs.replace(encounter(3), t_end_ns=Nanoseconds(2**64 - 1))
+    with closing(sqlite3.connect(path)) as database, database:
+        for record in (odd, never):
+            database.execute("UPDATE record SET body = ? WHERE sequence = ?", (encode_journal_record(record), record.sequence))
+    with closing(Store(path)) as store:
+        table = replica_of(store).encounters.table()
+        assert (table.t_end_ns - ANCHOR_NS).tolist() == [9, S, S]
+        assert (store.n_encounters, store.progress.change) == (3, 4)
+        # Its correction is taken in as that of any other.
+        store.apply([batch([encounter(5, sequence=3, revision=1)])])
+        assert store.n_encounters == 4
+    (told,) = [record for record in caplog.records if record.getMessage() == "store.rows_left_out"]
+    assert vars(told)["fields"]["encounters"] == 1
 
 
 def test_a_record_of_another_kind_under_a_known_identity_changes_nothing() -> None:
