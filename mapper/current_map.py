@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -29,7 +30,8 @@ class MapStatus:
     """How the newest finished map stands to the records that have come.
 
     ``n_waiting`` records, each revision counted as one, have come since it was begun, ``behind_s`` ago (0 where nothing waits): no record
-    that it lacks came earlier. ``is_computing``: another one is being made.
+    that it lacks came earlier. Where later records left too few encounters for another map, both count from those, and ``waiting`` says
+    why there is no newer map; before the first it says what that waits for. ``is_computing``: another one is being made.
     """
 
     snapshot: MapSnapshot | None
@@ -37,6 +39,16 @@ class MapStatus:
     n_waiting: int
     behind_s: float
     is_computing: bool
+    waiting: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Standstill:
+    """Up to ``change``, taken from the store at ``begun_wall_ns``, there are too few encounters for a map newer than the last."""
+
+    change: int
+    begun_wall_ns: int
+    reason: str
 
 
 class CurrentMap:
@@ -48,6 +60,8 @@ class CurrentMap:
         Only encounters not over so long before the end of the newest one count; None: no limit.
     min_interval_s
         A map is begun no earlier than this after the one before was begun.
+    clock
+        Tells the wall clock [ns since 1970].
     """
 
     def __init__(
@@ -59,9 +73,12 @@ class CurrentMap:
         changes: Changes,
         min_interval_s: float,
         window_ns: int | None = None,
+        clock: Callable[[], int] = time.time_ns,
     ) -> None:
         self.last_fault: str | None = None
         self.keeping_fault: str | None = None
+        self.dating_fault: str | None = None
+        self._clock = clock
         self._records = records
         self._recipe = recipe
         self._window_ns = window_ns
@@ -70,6 +87,7 @@ class CurrentMap:
         self._changes = changes
         self._min_interval_s = min_interval_s
         self._latest: MapSnapshot | None = None
+        self._standstill: _Standstill | None = None
         self.waiting_for: NoMapYetError = NoMapYetError(n_encounters=0, minimum=0, reason="the mapper has just started")
         self.worker = Worker(name="map worker")
         # Up to which change the worker has been sent everything; 0: nothing.
@@ -88,12 +106,28 @@ class CurrentMap:
     @property
     def status(self) -> MapStatus:
         """How the last finished map stands to the records that have come, right now."""
-        progress, latest = self._records.progress, self._latest
-        n_waiting = progress.change - (latest.change if latest else 0)
-        behind_s = max(0.0, (time.time_ns() - latest.begun_wall_ns) / 1e9) if latest and n_waiting else 0.0
+        latest, standstill, progress = self._latest, self._standstill, self._records.progress
+        n_waiting, behind_s = (progress.change, 0.0) if latest is None else self.lag_of(latest)
+        waiting = None if standstill is None else f"no newer map: {standstill.reason}"
         return MapStatus(
-            snapshot=latest, n_known=progress.n_encounters, n_waiting=n_waiting, behind_s=behind_s, is_computing=self._is_computing
+            snapshot=latest,
+            n_known=progress.n_encounters,
+            n_waiting=n_waiting,
+            behind_s=behind_s,
+            is_computing=self._is_computing,
+            waiting=str(self.waiting_for) if latest is None else waiting,
         )
+
+    def lag_of(self, snapshot: MapSnapshot) -> tuple[int, float]:
+        """Return how many records wait for a map after this one, and for how long at most [s], right now, as in `MapStatus`."""
+        counted = self._standstill if self._standstill is not None and snapshot is self._latest else snapshot
+        n_waiting = self._records.progress.change - counted.change
+        return n_waiting, max(0.0, (self._clock() - counted.begun_wall_ns) / 1e9) if n_waiting else 0.0
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with the making, keeping and dating of maps."""
+        return tuple(fault for fault in (self.last_fault, self.keeping_fault, self.dating_fault) if fault is not None)
 
     def require(self) -> MapSnapshot:
         """Return the last finished map.
@@ -133,6 +167,7 @@ class CurrentMap:
             _log.warning("map.kept_unreadable", change=kept.change)
             return
         self._latest = MapSnapshot.of(finished, change=kept.change)
+        self._note_dates(finished.documents.n_ahead)
         self._changes.bump(Topic.MAP)
         _log.info("map.restored", version=finished.version, encounters=finished.documents.n_encounters)
 
@@ -168,7 +203,7 @@ class CurrentMap:
             await asyncio.sleep(max(0.0, self._min_interval_s - (time.monotonic() - begun)))
 
     async def _make(self) -> None:
-        begun, begun_wall_ns = time.monotonic(), time.time_ns()
+        begun, begun_wall_ns = time.monotonic(), self._clock()
         if self.waiting_for.minimum > 0:
             self.waiting_for = NoMapYetError(n_encounters=self._records.progress.n_encounters, minimum=self.waiting_for.minimum)
         self._is_computing = True
@@ -179,8 +214,11 @@ class CurrentMap:
         finally:
             self._is_computing = False
         if isinstance(outcome, TooFew):
-            self.waiting_for = NoMapYetError(n_encounters=outcome.n_encounters, minimum=outcome.minimum)
+            self.waiting_for = NoMapYetError(n_encounters=outcome.n_encounters, minimum=outcome.minimum, where=outcome.where)
+            self._note_dates(outcome.n_ahead)
+            self._stand_still(change=change, begun_wall_ns=begun_wall_ns)
         elif isinstance(outcome, MapDocuments):
+            self._note_dates(outcome.n_ahead)
             self._publish(outcome, change=change, begun_wall_ns=begun_wall_ns, computing_s=time.monotonic() - begun)
         if self.last_fault is not None:
             _log.warning("map.fault_over", after=self.last_fault)
@@ -192,7 +230,7 @@ class CurrentMap:
         self._fleet.set_encounter_counts(n_encounters_of)
         # Whatever ends this job early ends the worker's copy with it, or leaves it in doubt: the next one gets everything.
         self._n_sent = 0
-        outcome = await self.worker.run(make_map, delta, self._recipe, window_ns=self._window_ns)
+        outcome = await self.worker.run(make_map, delta, self._recipe, window_ns=self._window_ns, now_ns=self._clock())
         self._n_sent = delta.change
         return outcome, delta.change
 
@@ -200,13 +238,34 @@ class CurrentMap:
         finished = FinishedMap(
             version=self._latest.version + 1 if self._latest else 1,
             begun_wall_ns=begun_wall_ns,
-            computed_wall_ns=time.time_ns(),
+            computed_wall_ns=self._clock(),
             computing_s=round(computing_s, 4),
             documents=documents,
         )
         self._latest = MapSnapshot.of(finished, change=change)
+        if self._standstill is not None:
+            _log.info("map.goes_on", after=self._standstill.reason)
+            self._standstill = None
         self._unkept.set()
         _log.debug("map.done", version=finished.version, encounters=documents.n_encounters, seconds=finished.computing_s)
+
+    def _stand_still(self, *, change: int, begun_wall_ns: int) -> None:
+        """Note that the last map, if there is one, stays the last for want of encounters."""
+        if self._latest is None:
+            return
+        if self._standstill is None:
+            _log.warning("map.stands_still", version=self._latest.version, reason=str(self.waiting_for))
+        self._standstill = _Standstill(change=change, begun_wall_ns=begun_wall_ns, reason=str(self.waiting_for))
+
+    def _note_dates(self, n_ahead: int) -> None:
+        before = self.dating_fault
+        self.dating_fault = (
+            f"encounters dated ahead of this machine's clock: {n_ahead}; set the clocks of all machines" if n_ahead else None
+        )
+        if before is None and n_ahead:
+            _log.error("map.dated_ahead", encounters=n_ahead)
+        elif before is not None and not n_ahead:
+            _log.warning("map.dated_ahead_over", after=before)
 
     async def _keep_maps(self) -> None:
         while True:

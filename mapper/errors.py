@@ -171,10 +171,10 @@ class JobError(MapError):
 class NoMapYetError(MapError):
     """No map has been finished yet."""
 
-    def __init__(self, *, n_encounters: int, minimum: int, reason: str | None = None) -> None:
+    def __init__(self, *, n_encounters: int, minimum: int, reason: str | None = None, where: str = "yet") -> None:
         if reason is None:
             reason = (
-                f"not enough encounters yet: {n_encounters} of at least {minimum}"
+                f"not enough encounters {where}: {n_encounters} of at least {minimum}"
                 if n_encounters < minimum
                 else f"the first map, of {n_encounters} encounters, is being computed"
             )

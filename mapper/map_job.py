@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import msgspec
+import numpy as np
 
 from firmware_protocol.contract.records import Cause, Mode
 from mapper.record_columns import to_unsigned
 from mapper.replica import Replica, StoreDelta
-from mapper.window import clip_table, window_begin
+from mapper.window import clip_table, rows_dated_ahead, select_rows, window_begin
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -36,17 +37,20 @@ class OutOfStep(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TooFew:
-    """There are fewer encounters than a map needs."""
+    """There are fewer encounters than a map needs; ``where``, in words; and ``n_ahead`` as in `MapDocuments`."""
 
     n_encounters: int
     minimum: int
+    where: str
+    n_ahead: int
 
 
 class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
     """A finished map: two JSON objects, the result for pictures as `encode_map` writes it, and what stands behind it.
 
     The map is of ``n_encounters``, the last of which ended at ``last_encounter_ns`` [wall clock]; ``n_before`` were over at ``since_ns``:
-    when the landmarks were set or the window begins, whichever is later; None where there is neither.
+    when the landmarks were set or the window begins, whichever is later; None where there is neither. ``n_ahead`` of all that are known
+    were dated ahead of this machine's clock.
     """
 
     map_json: bytes
@@ -56,10 +60,19 @@ class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
     n_before: int
     since_ns: int | None
     last_encounter_ns: int
+    n_ahead: int
 
 
-def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None) -> MapDocuments | TooFew | OutOfStep:
-    """Bring this process's copy up to date, compute the map of what counts, and put it into JSON."""
+def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns: int) -> MapDocuments | TooFew | OutOfStep:
+    """Bring this process's copy up to date, compute the map of what counts, and put it into JSON.
+
+    Parameters
+    ----------
+    now_ns
+        The time of this machine's wall clock. A window ends at the newest encounter that is not dated ahead of it, and those that are
+        dated ahead are left out: one wrong clock would take the window away from all others. Where all are, it is this machine's
+        clock that is wrong, and nothing is left out for that.
+    """
     from mapper.map_codec import encode_map  # noqa: PLC0415  # see the module's docstring
     from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415  # same
     from mapper.report import to_json_object  # noqa: PLC0415  # same
@@ -67,19 +80,24 @@ def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None) -> Map
     if not _replica.take(delta):
         return OutOfStep()
     whole, spells = _replica.encounters.table(), _replica.modes.spells()
-    since_ns = window_begin(whole, window_ns=window_ns, since_ns=_replica.since_ns)
-    table = clip_table(whole, since_ns=since_ns)
+    is_ahead = rows_dated_ahead(whole, now_ns=now_ns)
+    n_ahead = int(np.count_nonzero(is_ahead))
+    known = whole if window_ns is None or n_ahead in {0, len(whole)} else select_rows(whole, ~is_ahead)
+    since_ns = window_begin(known, window_ns=window_ns, since_ns=_replica.since_ns)
+    table = clip_table(known, since_ns=since_ns)
     if len(table) < MIN_ENCOUNTERS:
-        return TooFew(n_encounters=len(table), minimum=MIN_ENCOUNTERS)
+        where = "yet" if since_ns is None else "since time 0 of the mission" if since_ns == _replica.since_ns else "in the window"
+        return TooFew(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=where, n_ahead=n_ahead)
     result = compute_map(table, spells, recipe)
     document = to_json_object(result)
     for point, id1, id2 in zip(_objects(document["points"]), result.points.id1.tolist(), result.points.id2.tolist(), strict=True):
         point["id1"], point["id2"] = to_unsigned(id1), to_unsigned(id2)
-    n_before, last_encounter_ns = len(whole) - len(table), int(table.t_end_ns.max())
+    n_before, last_encounter_ns = len(known) - len(table), int(table.t_end_ns.max())
     document["landmarks"] = list(_place_landmarks(result, spells))
     document["window_s"] = None if window_ns is None else window_ns / _NS_PER_S
     document["since_s"] = None if since_ns is None else since_ns / _NS_PER_S
     document["n_before"] = n_before
+    document["n_ahead"] = n_ahead
     document["last_encounter_s"] = last_encounter_ns / _NS_PER_S
     return MapDocuments(
         map_json=msgspec.json.encode(document),
@@ -89,6 +107,7 @@ def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None) -> Map
         n_before=n_before,
         since_ns=since_ns,
         last_encounter_ns=last_encounter_ns,
+        n_ahead=n_ahead,
     )
 
 

@@ -120,8 +120,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
             return {**intake.counters, **{f"bus_{name}": number for name, number in bus.counters.items()}, "ignored": fleet.n_ignored}
 
         def faults() -> list[str]:
-            found = (intake.store_fault, current_map.last_fault, current_map.keeping_fault)
-            return [fault for fault in found if fault is not None]
+            return [*([] if intake.store_fault is None else [intake.store_fault]), *current_map.faults]
 
         services = Services(
             records=records,

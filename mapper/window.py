@@ -1,6 +1,7 @@
 """The records that count: encounters in canonical order, and who stood still for how long."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,10 +9,12 @@ from numpy.typing import ArrayLike
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
 from mapper.errors import UnknownBiobotError
-from mapper.types import EncounterTable, IntArray, ModeSpell, read_only
+from mapper.types import BoolArray, EncounterTable, IntArray, ModeSpell, read_only
 
 # A centre in half nanoseconds must fit 63 bits.
 _MAX_SPAN_NS = 2**62 - 1
+_AHEAD_NS: Final = 60 * 10**9
+"""Clocks of machines that are set by NTP differ by less than a second (RFC 5905, 1); what is dated a minute ahead is dated wrongly."""
 
 
 def make_encounter_table(*, t_start_ns: ArrayLike, t_end_ns: ArrayLike, id1: ArrayLike, id2: ArrayLike) -> EncounterTable:
@@ -74,6 +77,19 @@ def window_begin(table: EncounterTable, *, window_ns: int | None, since_ns: int 
         return since_ns
     begin = int(table.t_end_ns.max()) - window_ns
     return begin if since_ns is None else max(begin, since_ns)
+
+
+def rows_dated_ahead(table: EncounterTable, *, now_ns: int) -> BoolArray:
+    """Say of each encounter, shape (n,), whether it ended more than a minute after ``now_ns``, which is of the table's clock."""
+    return table.t_end_ns > now_ns + _AHEAD_NS
+
+
+def select_rows(table: EncounterTable, chosen: BoolArray) -> EncounterTable:
+    """Leave out the encounters that are not chosen, shape (n,); the others stay in their order."""
+    start, end, id1, id2, row = (
+        read_only(column[chosen]) for column in (table.t_start_ns, table.t_end_ns, table.id1, table.id2, table.source_row)
+    )
+    return EncounterTable(t_start_ns=start, t_end_ns=end, id1=id1, id2=id2, source_row=row)
 
 
 def clip_table(table: EncounterTable, *, since_ns: int | None = None, until_ns: int | None = None) -> EncounterTable:

@@ -96,7 +96,7 @@ def _add_map_routes(router: APIRouter, services: Services) -> None:
     @router.get("/api/v1/map/status", tags=["map"], responses=_answers(MapStatusView))
     async def get_map_status() -> Response:
         """Say what the newest finished map is of, how old it is, and how many records it waits to take in; small, to be asked often."""
-        return json_response(view_map_status(services.current_map.status, waiting=services.current_map.waiting_for))
+        return json_response(view_map_status(services.current_map.status))
 
     @router.get("/api/v1/diagram", tags=["map"], responses=_answers(DiagramView, _MAP_PROBLEMS, is_versioned=True))
     async def get_diagram(request: Request) -> Response:
@@ -196,14 +196,14 @@ def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream
     @router.get("/healthz", tags=["watch"], responses=_answers(HealthView))
     async def get_health() -> Response:
         """Say that the process answers, and what it has counted."""
-        latest = services.current_map.latest
+        status = services.current_map.status
         return json_response(
             {
                 "status": "ok",
                 "wall_ns": time.time_ns(),
-                "n_encounters": services.records.progress.n_encounters,
-                "map_version": latest.version if latest else None,
-                "waiting": None if latest else str(services.current_map.waiting_for),
+                "n_encounters": status.n_known,
+                "map_version": status.snapshot.version if status.snapshot else None,
+                "waiting": status.waiting,
                 "counters": services.counters(),
                 "faults": services.faults(),
                 "engines": {"kernels": services.engines.kernels, "persistence": services.engines.persistence},

@@ -223,6 +223,7 @@ class MapView(_Answer):
         description="Encounters count from then [s since 1970]: the landmarks were set, or the window begins; null: neither"
     )
     n_before: int = Field(description="Encounters that were over by then, and are left out")
+    n_ahead: int = Field(description="Known encounters dated over a minute ahead of the mapper's clock; left out where there is a window")
     last_encounter_s: float
     parameters: dict[str, object]
     warnings: list[str]
@@ -236,7 +237,7 @@ class MapStatusView(_Answer):
     n_waiting: int = Field(description="Records that have come since the map was begun, each revision counted as one")
     behind_s: float = Field(description="No record that is missing in the map came earlier than this [s] ago; 0: none is missing")
     is_computing: bool = Field(description="Another map is being made")
-    waiting: str | None = Field(description="What the first map is waiting for; null when there is one")
+    waiting: str | None = Field(description="What the first map waits for, or why there is no newer one: too few encounters count now")
     version: int | None
     begun_wall_ns: int | None = Field(description="The map is of all records that had come by then")
     computed_wall_ns: int | None
@@ -244,6 +245,7 @@ class MapStatusView(_Answer):
     n_encounters: int | None = Field(description="Encounters that the map is of")
     n_before: int | None = Field(description="Encounters that were over at since_wall_ns, and are left out")
     since_wall_ns: int | None = Field(description="Landmarks were set, or the window begins; null: neither")
+    n_ahead: int | None = Field(description="Known encounters dated over a minute ahead of the mapper's clock")
     last_encounter_wall_ns: int | None = Field(description="End of the newest encounter of the map")
 
 
@@ -281,7 +283,7 @@ class HealthView(_Answer):
     wall_ns: int
     n_encounters: int
     map_version: int | None
-    waiting: str | None = Field(description="What the first map is waiting for; null when there is one")
+    waiting: str | None = Field(description="What the first map waits for, or why there is no newer one: too few encounters count now")
     counters: dict[str, int]
     faults: list[str]
     engines: EnginesView

@@ -9,7 +9,6 @@ from fastapi import Request, Response
 from firmware_protocol.contract.records import EncounterRecord, GatewayStatus, MissionRecord
 from mapper.commands import Command
 from mapper.current_map import MapStatus
-from mapper.errors import NoMapYetError
 from mapper.fleet import BiobotView, GatewayView
 
 JSON_TYPE = "application/json"
@@ -86,7 +85,7 @@ def view_biobot(view: BiobotView) -> dict[str, object]:
     }
 
 
-def view_map_status(status: MapStatus, *, waiting: NoMapYetError) -> dict[str, object]:
+def view_map_status(status: MapStatus) -> dict[str, object]:
     """Describe how the newest finished map stands to the records; all of the map is null before the first."""
     document: dict[str, object] = {
         "now_wall_ns": time.time_ns(),
@@ -94,7 +93,7 @@ def view_map_status(status: MapStatus, *, waiting: NoMapYetError) -> dict[str, o
         "n_waiting": status.n_waiting,
         "behind_s": status.behind_s,
         "is_computing": status.is_computing,
-        "waiting": str(waiting) if status.snapshot is None else None,
+        "waiting": status.waiting,
     }
     finished = status.snapshot.finished if status.snapshot else None
     of = finished.documents if finished else None
@@ -106,6 +105,7 @@ def view_map_status(status: MapStatus, *, waiting: NoMapYetError) -> dict[str, o
         "n_encounters": of and of.n_encounters,
         "n_before": of and of.n_before,
         "since_wall_ns": of and of.since_ns,
+        "n_ahead": of and of.n_ahead,
         "last_encounter_wall_ns": of and of.last_encounter_ns,
     }
 

@@ -19,6 +19,7 @@ let map = null;
 let diagram = null;
 let mapBegunAt = null;
 let waiting = 0;
+let standstill = null;
 let isLineUp = false;
 let gateways = [];
 
@@ -71,6 +72,7 @@ const refreshStatus = paced(async () => {
   if (status.version === null) return;
   mapBegunAt = performance.now() - (status.now_wall_ns - status.begun_wall_ns) / 1e6;
   waiting = status.n_waiting;
+  standstill = status.waiting;
   tick();
 });
 
@@ -96,7 +98,9 @@ function showWaiting(health) {
 }
 
 function showNotices(health) {
-  element("notices").textContent = [...health.faults, ...(map?.warnings ?? [])].join(" · ");
+  // Before the first map, what it waits for stands in its place.
+  const standstill = health.map_version !== null && health.waiting ? [health.waiting] : [];
+  element("notices").textContent = [...health.faults, ...standstill, ...(map?.warnings ?? [])].join(" · ");
 }
 
 function showLink() {
@@ -113,7 +117,7 @@ function showLink() {
 
 function tick() {
   element("age").textContent = mapBegunAt === null ? "–" : age((performance.now() - mapBegunAt) / 1000) + (waiting ? ` +${count(waiting)}` : "");
-  element("age").title = waiting ? `${count(waiting)} records have come since and wait for the next map` : "of all records that have come";
+  element("age").title = standstill ?? (waiting ? `${count(waiting)} records have come since and wait for the next map` : "of all records that have come");
   roster.tick();
 }
 

@@ -33,7 +33,7 @@ from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
 
 SITE = "local"
 BOOT = BootId(1_900_000_000)
-ANCHOR_NS = Nanoseconds(1_900_000_000_000_000_000)
+ANCHOR_NS = Nanoseconds(1_700_000_000_000_000_000)
 S = 1_000_000_000
 
 Answer = Callable[[StimulationRequest], Iterable[Stage]]

@@ -1,14 +1,16 @@
 """The mapper's parts, put together as the service does, without the web server."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from firmware_protocol.contract.records import JournalRecord
 from mapper.api.services import Engines, Services
 from mapper.bus import Bus
-from mapper.changes import Changes
+from mapper.changes import Changes, Topic
 from mapper.commands import CommandDesk
 from mapper.config import RecipeConfig, make_recipe
 from mapper.current_map import CurrentMap
@@ -18,7 +20,7 @@ from mapper.kernels import choose_kernels
 from mapper.rips_engines import name_engine
 from mapper.store import Store
 from mapper.store_thread import StoreThread
-from tests.mapper.fake_gateway import SITE
+from tests.mapper.fake_gateway import SITE, batch
 
 DEADLINE_S = 20.0
 PERIOD_S = 0.02
@@ -50,9 +52,14 @@ class Side:
             changes=self.changes,
             is_connected=lambda: self.bus.is_connected,
             counters=lambda: self.intake.counters,
-            faults=list,
+            faults=lambda: list(self.current_map.faults),
             engines=Engines(kernels=choose_kernels().name, persistence=name_engine()),
         )
+
+    async def take_in(self, records: Sequence[JournalRecord]) -> None:
+        """Put records into the store, as if they had come from a gateway."""
+        await self.records.call(Store.apply, [batch(records)])
+        self.changes.bump(Topic.RECORDS)
 
     async def until(self, is_met: Callable[[Store], bool]) -> None:
         """Wait until the store is as wanted."""
@@ -73,6 +80,7 @@ async def mapper_side(
     recipe: RecipeConfig | None = None,
     window_ns: int | None = None,
     min_interval_s: float = 0.1,
+    clock: Callable[[], int] = time.time_ns,
 ) -> AsyncIterator[Side]:
     records = await StoreThread.open(store)
     bus = await Bus.open(site=SITE, connect=(f"tcp/127.0.0.1:{port}",), listen=())
@@ -86,6 +94,7 @@ async def mapper_side(
         changes=changes,
         min_interval_s=min_interval_s,
         window_ns=window_ns,
+        clock=clock,
     )
     if with_map:
         await current_map.restore()

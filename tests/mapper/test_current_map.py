@@ -6,10 +6,12 @@ from contextlib import closing
 from http import HTTPStatus
 from pathlib import Path
 
-from firmware_protocol.contract.records import EncounterRecord
+import msgspec.structs
+
+from firmware_protocol.contract.records import EncounterRecord, MissionPhase
 from mapper.config import RecipeConfig
 from mapper.store import Store
-from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, batch, encounter, free_port
+from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, S, batch, encounter, free_port, mission
 from tests.mapper.mapper_side import Side, mapper_side, until
 from tests.mapper.ring import ring_records
 from tests.mapper.test_api import client_of
@@ -80,6 +82,98 @@ def test_a_window_leaves_out_what_was_over_and_says_so() -> None:
                 assert document["window_s"] == window_ns / 1e9
                 assert abs(document["since_s"] * 1e9 - since_ns - ANCHOR_NS) < 1000
                 assert side.current_map.status.n_known == N_ENCOUNTERS
+
+    asyncio.run(story())
+
+
+def test_where_too_few_encounters_are_left_the_last_map_is_served_and_said_to_be_the_last() -> None:
+    async def story() -> None:
+        n = len(RECORDS)
+        async with mapper_side(1, with_map=True) as side, client_of(side) as client:
+            await side.take_in(RECORDS)
+            await level(side, change=n)
+            voided = [
+                msgspec.structs.replace(record, offset=n + place, revision=1, is_void=True)
+                for place, record in enumerate((record for record in RECORDS if isinstance(record, EncounterRecord)), start=1)
+            ]
+            await side.take_in(voided)
+            await until(lambda: side.current_map.status.waiting is not None)
+            n += N_ENCOUNTERS
+            status = (await client.get("/api/v1/map/status")).json()
+            assert status["waiting"] == "no newer map: not enough encounters yet: 0 of at least 2"
+            assert (status["n_encounters"], status["n_known"], status["n_waiting"], status["behind_s"]) == (N_ENCOUNTERS, 0, 0, 0)
+            assert (await client.get("/healthz")).json()["waiting"] == status["waiting"]
+            answer = await client.get("/api/v1/map")
+            assert (answer.status_code, answer.headers["map-waiting"], float(answer.headers["map-behind"])) == (HTTPStatus.OK, "0", 0)
+            await side.take_in([encounter(n + 1), encounter(n + 2)])
+            await level(side, change=n + 2)
+            status = (await client.get("/api/v1/map/status")).json()
+            assert (status["n_encounters"], status["n_known"], status["n_waiting"], status["waiting"]) == (2, 2, 0, None)
+            assert (await client.get("/healthz")).json()["waiting"] is None
+
+    asyncio.run(story())
+
+
+def test_a_new_mission_waits_for_encounters_after_its_time_zero_and_says_so(tmp_path: Path) -> None:
+    async def story() -> None:
+        path = tmp_path / "records.db"
+        n = len(RECORDS) + 1
+        later = max(record.t_end_ns for record in RECORDS if isinstance(record, EncounterRecord)) + S
+        for is_again in (False, True):
+            async with mapper_side(1, with_map=True, store=path) as side:
+                if not is_again:
+                    await side.take_in(RECORDS)
+                    await level(side, change=n - 1)
+                    await side.take_in([mission(n, phase=MissionPhase.EXPLORATION, t_ns=later)])
+                # After a restart too: the map that was kept is of before.
+                await until(lambda: side.current_map.status.waiting is not None)
+                status = side.current_map.status
+                assert status.waiting == "no newer map: not enough encounters since time 0 of the mission: 0 of at least 2"
+                assert (status.n_known, status.n_waiting, status.behind_s) == (N_ENCOUNTERS, 0, 0)
+                assert side.current_map.require().n_encounters == N_ENCOUNTERS
+
+    asyncio.run(story())
+
+
+def test_a_clock_that_is_ahead_does_not_take_the_window_away_from_the_others() -> None:
+    async def story() -> None:
+        n, n_more = len(RECORDS), 50
+        end = max(record.t_end_ns for record in RECORDS if isinstance(record, EncounterRecord))
+        now = [ANCHOR_NS + end]
+        year = 365 * 24 * 3600 * S
+        async with mapper_side(1, with_map=True, window_ns=3600 * S, clock=lambda: now[0]) as side, client_of(side) as client:
+            await side.take_in(RECORDS)
+            await level(side, change=n)
+            assert (await client.get("/healthz")).json()["faults"] == []
+            # One is a year ahead, one within what clocks of several machines may differ by.
+            await side.take_in([encounter(n + 1, t_ns=(year, year + S)), encounter(n + 2, t_ns=(end, end + 60 * S))])
+            await side.take_in([encounter(n + 3 + i, nodes=(1 + i % 5, 1001), t_ns=(end, end + i)) for i in range(n_more)])
+            n += 2 + n_more
+            await level(side, change=n)
+            document = (await client.get("/api/v1/map")).json()
+            assert (document["n_encounters"], document["n_ahead"], document["n_before"]) == (N_ENCOUNTERS + 1 + n_more, 1, 0)
+            assert abs(document["since_s"] * S - (ANCHOR_NS + end + 60 * S - 3600 * S)) < 1000
+            (fault,) = (await client.get("/healthz")).json()["faults"]
+            assert fault.startswith("encounters dated ahead of this machine's clock: 1;")
+            assert (await client.get("/api/v1/map/status")).json()["n_ahead"] == 1
+            # In a year it is the newest, and the window is its.
+            now[0] += year
+            await side.take_in([encounter(n + 1, sequence=n, revision=1)])
+            await until(lambda: side.current_map.status.waiting is not None)
+            assert side.current_map.status.waiting == "no newer map: not enough encounters in the window: 1 of at least 2"
+            assert side.current_map.faults == ()
+
+    asyncio.run(story())
+
+
+def test_where_all_clocks_are_ahead_it_is_this_one_that_is_behind() -> None:
+    async def story() -> None:
+        async with mapper_side(1, with_map=True, window_ns=3600 * S, clock=lambda: 0) as side:
+            await side.take_in(RECORDS)
+            await level(side, change=len(RECORDS))
+            assert side.current_map.require().n_encounters == N_ENCOUNTERS
+            (fault,) = side.current_map.faults
+            assert f": {N_ENCOUNTERS};" in fault
 
     asyncio.run(story())
 
