@@ -158,8 +158,13 @@ class CurrentMap:
             return snapshot, picture
 
     async def restore(self) -> None:
-        """Serve the map that was kept before the last end, if this recipe and program made it."""
-        kept = await self._records.call(Store.kept_map, made_by=self._made_by)
+        """Serve the map that was kept before the last end, if this recipe and program made it; one that cannot be read is only made anew."""
+        try:
+            kept = await self._records.call(Store.kept_map, made_by=self._made_by)
+        except StoreError as error:
+            _log.error("map.kept_unreadable", reason=str(error))
+            self.keeping_fault = str(error)
+            return
         finished = None if kept is None else unpack(kept.document)
         if kept is None or kept.change > self._records.progress.change:
             return

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import sqlite3
 from contextlib import closing
 from http import HTTPStatus
 from pathlib import Path
@@ -228,5 +229,27 @@ def test_a_kept_map_that_cannot_be_read_is_made_anew(tmp_path: Path) -> None:
             async with mapper_side(port, with_map=True, store=path) as side:
                 assert side.current_map.latest is None
                 await level(side, change=len(RECORDS))
+
+    asyncio.run(story())
+
+
+def test_a_damaged_page_of_the_kept_map_costs_no_more_than_the_map(tmp_path: Path) -> None:
+    async def story() -> None:
+        path = tmp_path / "records.db"
+        async with mapper_side(1, with_map=True, store=path) as side:
+            await side.take_in(RECORDS)
+            await level(side, change=len(RECORDS))
+        with closing(sqlite3.connect(path)) as database:
+            (page,) = database.execute("SELECT rootpage FROM sqlite_schema WHERE name = 'finished_map'").fetchone()
+            (size,) = database.execute("PRAGMA page_size").fetchone()
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        with path.open("r+b") as file:
+            file.seek((page - 1) * size)
+            file.write(b"\xa5" * size)
+        async with mapper_side(1, with_map=True, store=path) as side:
+            (fault,) = side.current_map.faults
+            assert "malformed" in fault
+            await level(side, change=len(RECORDS))
+            assert side.current_map.require().n_encounters == N_ENCOUNTERS
 
     asyncio.run(story())
