@@ -158,7 +158,7 @@ class CurrentMap:
             return snapshot, picture
 
     async def restore(self) -> None:
-        """Serve the map that was kept before the last end, if this recipe and program made it; one that cannot be read is only made anew."""
+        """Serve the map that was kept before the last end, if this recipe and program made it and it can be read."""
         try:
             kept = await self._records.call(Store.kept_map, made_by=self._made_by)
         except StoreError as error:

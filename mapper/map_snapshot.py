@@ -4,6 +4,7 @@ import zlib
 from dataclasses import dataclass
 from hashlib import blake2b
 from importlib.metadata import version as version_of
+from pathlib import Path
 from typing import Self
 
 import msgspec
@@ -11,6 +12,7 @@ import msgspec
 from mapper.map_job import MapDocuments
 from mapper.types import Recipe
 
+_SOURCES = ("*.py", "kernels/*.py", "kernels/*.c", "kernels/*.h", "data/*.json")
 _FASTEST = 1  # of zlib's levels: the others take up to ten times as long for a tenth less
 
 
@@ -73,9 +75,19 @@ class MapSnapshot:
 
 
 def fingerprint(recipe: Recipe, *, window_ns: int | None) -> str:
-    """Name what a map is made by: this version of the program, the recipe, the window."""
-    facts = msgspec.json.encode([version_of("biobot-gateway"), recipe, window_ns], order="deterministic")
+    """Name what a map is made by: version and sources of the program with its trained rules, the recipe, the window."""
+    facts = msgspec.json.encode([version_of("biobot-gateway"), _sum_sources(), recipe, window_ns], order="deterministic")
     return blake2b(facts, digest_size=16).hexdigest()
+
+
+def _sum_sources() -> int:
+    """Return the CRC-32 of all that computes a map, names too: an installation from a working tree changes under one version."""
+    root = Path(__file__).parent
+    paths = [path for pattern in _SOURCES for path in root.glob(pattern)]
+    total = 0
+    for path in sorted(paths):
+        total = zlib.crc32(path.read_bytes(), zlib.crc32(path.relative_to(root).as_posix().encode(), total))
+    return total
 
 
 def pack(finished: FinishedMap) -> bytes:

@@ -44,6 +44,7 @@ from mapper.api.views import (
 )
 from mapper.commands import Outcome
 from mapper.errors import CommandRefusedError, GatewayAwayError
+from mapper.map_snapshot import MapSnapshot
 from mapper.store import Store
 
 _SUMMARIES: Final = {
@@ -91,7 +92,9 @@ def _add_map_routes(router: APIRouter, services: Services) -> None:
     async def get_map(request: Request) -> Response:
         """Return the newest finished map: points, Rips complex, holes, intervals, landmarks."""
         snapshot = services.current_map.require()
-        return versioned_response(request, snapshot.map_json, etag=snapshot.etag, media_type=JSON_TYPE, headers=_freshness(services))
+        return versioned_response(
+            request, snapshot.map_json, etag=snapshot.etag, media_type=JSON_TYPE, headers=_freshness(services, snapshot)
+        )
 
     @router.get("/api/v1/map/status", tags=["map"], responses=_answers(MapStatusView))
     async def get_map_status() -> Response:
@@ -102,19 +105,21 @@ def _add_map_routes(router: APIRouter, services: Services) -> None:
     async def get_diagram(request: Request) -> Response:
         """Return the persistence diagram of the newest finished map."""
         snapshot = services.current_map.require()
-        return versioned_response(request, snapshot.diagram_json, etag=snapshot.etag, media_type=JSON_TYPE, headers=_freshness(services))
+        return versioned_response(
+            request, snapshot.diagram_json, etag=snapshot.etag, media_type=JSON_TYPE, headers=_freshness(services, snapshot)
+        )
 
     @router.get("/api/v1/map.svg", tags=["map"], responses=_answers("image/svg+xml", _PICTURE_PROBLEMS, is_versioned=True))
     async def get_map_svg(request: Request) -> Response:
         """Draw the newest finished map as SVG."""
         snapshot, picture = await services.current_map.picture("svg")
-        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/svg+xml", headers=_freshness(services))
+        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/svg+xml", headers=_freshness(services, snapshot))
 
     @router.get("/api/v1/map.png", tags=["map"], responses=_answers("image/png", _PICTURE_PROBLEMS, is_versioned=True))
     async def get_map_png(request: Request) -> Response:
         """Draw the newest finished map as PNG."""
         snapshot, picture = await services.current_map.picture("png")
-        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/png", headers=_freshness(services))
+        return versioned_response(request, picture, etag=snapshot.etag, media_type="image/png", headers=_freshness(services, snapshot))
 
 
 def _add_record_routes(router: APIRouter, services: Services) -> None:
@@ -225,10 +230,10 @@ def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream
         return json_response(document, status=HTTPStatus.OK if is_connected else HTTPStatus.SERVICE_UNAVAILABLE)
 
 
-def _freshness(services: Services) -> dict[str, str]:
-    """Make the headers that say how far the map is behind [s], and how many records wait for the next one."""
-    status = services.current_map.status
-    return {"Map-Behind": f"{status.behind_s:.3f}", "Map-Waiting": str(status.n_waiting)}
+def _freshness(services: Services, snapshot: MapSnapshot) -> dict[str, str]:
+    """Make the headers that say how far this map is behind [s], and how many records it lacks; a newer one may have come meanwhile."""
+    n_waiting, behind_s = services.current_map.lag_of(snapshot)
+    return {"Map-Behind": f"{behind_s:.3f}", "Map-Waiting": str(n_waiting)}
 
 
 def _answers(content: type | str, problems: tuple[HTTPStatus, ...] = (), *, is_versioned: bool = False) -> dict[int | str, dict[str, Any]]:

@@ -2,13 +2,19 @@
 
 import asyncio
 import json
+import os
+import shutil
+import signal
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
 from http import HTTPStatus
 from pathlib import Path
 
 import msgspec.structs
 
+import mapper
 from firmware_protocol.contract.records import EncounterRecord, MissionPhase
 from mapper.config import RecipeConfig
 from mapper.store import Store
@@ -253,3 +259,51 @@ def test_a_damaged_page_of_the_kept_map_costs_no_more_than_the_map(tmp_path: Pat
             assert side.current_map.require().n_encounters == N_ENCOUNTERS
 
     asyncio.run(story())
+
+
+def test_a_picture_that_a_newer_map_overtook_says_how_far_its_own_map_is_behind() -> None:
+    async def story() -> None:
+        n = len(RECORDS)
+        async with mapper_side(1, with_map=True) as side, client_of(side) as client:
+            await side.take_in(RECORDS)
+            await level(side, change=n)
+            assert (await client.get("/api/v1/map.png")).headers["map-waiting"] == "0"
+            artist = side.current_map._artist.pid
+            assert artist is not None
+            os.kill(artist, signal.SIGSTOP)
+            drawing = asyncio.create_task(client.get("/api/v1/map.svg"))
+            await until(side.current_map._artist._lock.locked)
+            await side.take_in([encounter(n + 1)])
+            await level(side, change=n + 1)
+            os.kill(artist, signal.SIGCONT)
+            answer = await drawing
+            assert int(answer.headers["etag"].strip('"').split("-")[0]) < side.current_map.require().version
+            assert answer.headers["map-waiting"] == "1"
+            assert float(answer.headers["map-behind"]) > 0
+
+    asyncio.run(story())
+
+
+def test_the_fingerprint_of_a_map_is_another_after_any_change_of_what_makes_it(tmp_path: Path) -> None:
+    """A copy of the package is asked in a process of its own, where it is what is imported."""
+    source = Path(mapper.__file__).parent
+    shutil.copytree(source, tmp_path / "mapper", ignore=shutil.ignore_patterns("__pycache__", "web"))
+    program = """
+from mapper.config import RecipeConfig, make_recipe
+from mapper.map_snapshot import fingerprint
+print(fingerprint(make_recipe(RecipeConfig()), window_ns=None))
+"""
+
+    def ask() -> str:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(source.parent)])}
+        return subprocess.run(
+            [sys.executable, "-P", "-c", program], env=environment, cwd=tmp_path, check=True, capture_output=True, text=True
+        ).stdout
+
+    names = [ask(), ask()]
+    assert names[0] == names[1]
+    for name in ("data/classifier.json", "kernels/sweep.c", "betti.py"):
+        with (tmp_path / "mapper" / name).open("a", encoding="utf-8") as file:
+            file.write("\n")
+        names.append(ask())
+    assert len(set(names)) == 4
