@@ -16,6 +16,8 @@ import msgspec
 from studies.errors import JournalBusyError, JournalError
 
 _KIND = "biobot cases 1"
+# What msgspec raises of bytes that are no such JSON, are no UTF-8, or are nested too deep.
+_UNREADABLE = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 class Failure(msgspec.Struct, frozen=True, kw_only=True):
@@ -127,7 +129,7 @@ class Journal:
         for number, line in enumerate(whole, start=1):
             try:
                 entry = msgspec.json.decode(line, type=Entry)
-            except msgspec.DecodeError as error:
+            except _UNREADABLE as error:
                 if number < len(whole):
                     raise JournalError(path=path, problem=f"line {number + 1} is damaged ({error})") from error
                 break
@@ -173,7 +175,7 @@ def _open_alone(path: Path) -> Any:
 def _check_header(line: bytes, *, path: Path, study: str) -> None:
     try:
         found = msgspec.json.decode(line, type=_Header)
-    except msgspec.DecodeError as error:
+    except _UNREADABLE as error:
         raise JournalError(path=path, problem="is no journal of cases") from error
     if found.journal != _KIND:
         raise JournalError(path=path, problem=f"is of the kind {found.journal!r}, wanted {_KIND!r}")

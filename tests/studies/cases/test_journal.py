@@ -51,6 +51,15 @@ def test_a_last_line_of_rubbish_is_torn_too(tmp_path: Path) -> None:
     assert (tmp_path / "made.jsonl").read_bytes() == whole
 
 
+def test_a_torn_last_line_that_is_no_text_is_cut_off(tmp_path: Path) -> None:
+    path = tmp_path / "made.jsonl"
+    head = b'{"journal":"biobot cases 1","study":"made"}\n'
+    path.write_bytes(head + b'{"digest":"\xff"}\n')
+    with Journal(path, study="made") as journal:
+        assert (journal.has_torn_line, journal.entries) == (True, {})
+    assert path.read_bytes() == head
+
+
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
@@ -59,6 +68,9 @@ def test_a_last_line_of_rubbish_is_torn_too(tmp_path: Path) -> None:
         (b'{"journal":"biobot cases 2","study":"made"}\n', "is of the kind 'biobot cases 2'"),
         (b'{"journal":"biobot cases 1","study":"other"}\n', 'belongs to the study "other"'),
         (b'{"journal":"biobot cases 1","study":"made"}\n{"dig\n{"digest":"a","program":"p","seconds":1}\n', "line 2 is damaged"),
+        (b'{"journal":"biobot cases 1","study":"ma\xffe"}\n', "is no journal"),
+        (b'{"journal":"biobot cases 1","study":"made"}\n{"digest":"\xff","program":"p","seconds":1}\n{}\n', "line 2 is damaged"),
+        (b'{"journal":"biobot cases 1","study":"made"}\n' + b'{"x":' + b"[" * 100_000 + b"\n{}\n", "line 2 is damaged"),
     ],
 )
 def test_a_foreign_or_damaged_file_is_refused_and_left_as_it_is(content: bytes, problem: str, tmp_path: Path) -> None:
