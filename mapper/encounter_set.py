@@ -36,7 +36,7 @@ class EncounterSet:
             :, rows.counts
         ]
         if fresh.shape[1]:
-            self._merge(fresh[:, _canonical_order(fresh)])
+            self._merge(fresh[:, _order_with_rows(fresh)])
 
     def table(self) -> EncounterTable:
         """Return the encounters without copying them: the table is good until the next `take`. ``source_row`` is the row of the store."""
@@ -85,7 +85,7 @@ class EncounterSet:
         # Sorted by start first, the encounters of one tie come back to the places of that tie.
         places = first + np.flatnonzero(in_tie)
         tied = self._columns[:, places]
-        self._columns[:, places] = tied[:, _canonical_order(tied)]
+        self._columns[:, places] = tied[:, _order_with_rows(tied)]
 
     def _reserve(self, n: int) -> None:
         capacity = self._columns.shape[1]
@@ -95,6 +95,7 @@ class EncounterSet:
             self._columns = grown
 
 
-def _canonical_order(columns: IntArray) -> IntArray:
+def _order_with_rows(columns: IntArray) -> IntArray:
+    """Return the order by start, end, ids and row of the store, of columns in any order."""
     start, end, low, high, row = columns
     return np.lexsort((row, high, low, end, start)).astype(np.int64, copy=False)
