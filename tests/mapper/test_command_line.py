@@ -141,6 +141,31 @@ sys.exit(main())
 """
 
 
+# Interrupts itself while the libraries are imported.
+INTERRUPT = """
+import os
+import signal
+import sys
+from importlib.abc import MetaPathFinder
+
+class Interrupt(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == {during!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupt())
+from mapper.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("during", ["msgspec", "mapper.config", "mapper.encounter_csv"])
+def test_an_interrupt_while_libraries_are_imported_is_no_traceback(ring: Path, during: str) -> None:
+    command = [sys.executable, "-c", INTERRUPT.format(during=during), "run", str(ring / "encounters.csv")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def _run_without(refused: set[str], *arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", REFUSE.format(refused=refused), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
