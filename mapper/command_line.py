@@ -14,7 +14,8 @@ from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
 from mapper.config import load_mapper_config, make_recipe
-from mapper.errors import MapError, OutputFileError, TooFewEncountersError
+from mapper.errors import MapError, TooFewEncountersError
+from mapper.output_files import STANDARD, check_outputs, is_standard_output, write_output
 from mapper.types import MapResult, Method, MetricKind
 
 _MAX_ID = 2**63 - 1
@@ -69,7 +70,10 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     from mapper.time_limits import make_limits  # noqa: PLC0415
     from mapper.window import absent_biobots, stationary_spells  # noqa: PLC0415
 
-    _refuse_to_overwrite(args)
+    inputs = _given(args.encounters, args.modes)
+    if inputs.count(STANDARD) > 1:
+        parser.error("run: standard input can be given for one file")
+    check_outputs(_given(args.json, args.svg, args.png), [*inputs, *_given(args.config)])
     limits = make_limits(window_s=args.window_s, from_s=args.from_s, until_s=args.until_s)
     table, facts = limits.clip(read_encounters(args.encounters))
     if len(table) < MIN_ENCOUNTERS:
@@ -94,15 +98,12 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
 def _foretell(args: argparse.Namespace) -> int:
     from mapper.feasibility_report import report, to_json  # noqa: PLC0415  # see _run
 
-    if args.json is not None and args.encounters is not None and args.json.resolve() == args.encounters.resolve():
-        raise OutputFileError(path=str(args.json), reason="is also an input; it would be overwritten")
+    check_outputs(_given(args.json), _given(args.encounters, args.config))
     text, document = report(args)
-    if args.json is None:
+    if args.json is not None:
+        write_output(args.json, to_json(document).encode())
+    if args.json is None or not is_standard_output(args.json):
         print(text)
-    elif args.json == Path("-"):
-        sys.stdout.write(to_json(document))
-    else:
-        _write(args.json, to_json(document).encode())
     return 0
 
 
@@ -117,40 +118,22 @@ def _warm_up(args: argparse.Namespace) -> int:
     return 0
 
 
-def _refuse_to_overwrite(args: argparse.Namespace) -> None:
-    inputs = {path.resolve() for path in (args.encounters, args.modes, args.config) if path is not None}
-    outputs = [path for path in (args.json, args.svg, args.png) if path is not None and path != Path("-")]
-    for number, path in enumerate(outputs):
-        if path.resolve() in inputs:
-            raise OutputFileError(path=str(path), reason="is also an input; it would be overwritten")
-        if path.resolve() in {other.resolve() for other in outputs[:number]}:
-            raise OutputFileError(path=str(path), reason="is named for two outputs")
+def _given(*paths: Path | None) -> list[Path]:
+    return [path for path in paths if path is not None]
 
 
 def _write_outputs(result: MapResult, facts: Mapping[str, float | None], args: argparse.Namespace) -> None:
     from mapper.render import render_map  # noqa: PLC0415  # see _run
     from mapper.report import summarize, to_json_object  # noqa: PLC0415  # see _run
 
-    if args.svg is not None:
-        _write(args.svg, render_map(result, image_format="svg"))
-    if args.png is not None:
-        _write(args.png, render_map(result, image_format="png"))
-    if args.json is None:
+    for path, image_format in ((args.svg, "svg"), (args.png, "png")):
+        if path is not None:
+            write_output(path, render_map(result, image_format=image_format))
+    if args.json is not None:
+        text = json.dumps({**to_json_object(result), **facts}, allow_nan=False) + "\n"
+        write_output(args.json, text.encode())
+    if not any(map(is_standard_output, _given(args.json, args.svg, args.png))):
         print(summarize(result))
-        return
-    text = json.dumps({**to_json_object(result), **facts}, allow_nan=False) + "\n"
-    if args.json == Path("-"):
-        sys.stdout.write(text)
-    else:
-        _write(args.json, text.encode())
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        path.write_bytes(content)
-    except (OSError, ValueError) as error:
-        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else str(error)
-        raise OutputFileError(path=str(path), reason=reason) from error
 
 
 def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
@@ -190,7 +173,7 @@ def _add_common(parser: argparse.ArgumentParser, *, default: str | None) -> None
 
 
 def _add_run_arguments(run: argparse.ArgumentParser) -> None:
-    run.add_argument("encounters", type=Path, nargs="?", help="CSV with the columns t_start_s,t_end_s,id1,id2")
+    run.add_argument("encounters", type=Path, nargs="?", help="CSV with the columns t_start_s,t_end_s,id1,id2; - is standard input")
     run.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
     run.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
     run.add_argument("--from-s", type=float, metavar="T", help="leave out what was over at this time of the file")
@@ -201,9 +184,9 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument(
         "--metric", choices=[str(metric) for metric in MetricKind], help="how encounters are compared (default: by the method)"
     )
-    run.add_argument("--json", type=Path, metavar="FILE", help="write the map as JSON; - is standard output")
-    run.add_argument("--svg", type=Path, metavar="FILE", help="write a picture")
-    run.add_argument("--png", type=Path, metavar="FILE", help="write a picture")
+    run.add_argument("--json", type=Path, metavar="FILE", help="write the map as JSON; - is standard output, then without the summary")
+    run.add_argument("--svg", type=Path, metavar="FILE", help="write a picture; - as above")
+    run.add_argument("--png", type=Path, metavar="FILE", help="write a picture; - as above")
 
 
 def _recipe_flags(args: argparse.Namespace) -> dict[str, object]:

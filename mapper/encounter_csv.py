@@ -39,6 +39,7 @@ _MAX_ID = 2**63 - 1
 _MIN_TIME_S, _MAX_TIME_S = -300_000_000, 4_000_000_000
 _SHOWN_LENGTH = 40
 _PIECE_BYTES = 2**20
+_STANDARD_INPUT = Path("/dev/stdin")
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?", re.ASCII)
 _WHOLE = re.compile(r"[0-9]{1,40}", re.ASCII)
 
@@ -73,7 +74,7 @@ class _FieldError(ValueError):
 
 
 def read_encounters(path: Path, *, kernels: KernelsKind | None = None) -> EncounterTable:
-    """Read a file with the columns ``t_start_s,t_end_s,id1,id2``.
+    """Read a file with the columns ``t_start_s,t_end_s,id1,id2``; the name ``-`` is standard input.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ def _read_rows(path: Path, data: bytes, *, columns: Sequence[str], parse: Callab
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
+        with (_STANDARD_INPUT if path == Path("-") else path).open("rb") as file:
             status = os.fstat(file.fileno())
             is_regular = stat.S_ISREG(status.st_mode)
             is_too_long = is_regular and status.st_size > _MAX_FILE_BYTES
