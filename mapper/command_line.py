@@ -14,7 +14,7 @@ from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
 from mapper.config import load_mapper_config, make_recipe
-from mapper.errors import MapError, TooFewEncountersError
+from mapper.errors import MapError, OutOfMemoryError, TooFewEncountersError
 from mapper.output_files import STANDARD, check_outputs, is_standard_output, write_output
 from mapper.types import MapResult, Method, MetricKind
 
@@ -33,6 +33,8 @@ def run_command_line(given: Sequence[str]) -> int:
         return _complain(error.problems, status=_EXIT_USAGE)
     except MapError as error:
         return _complain(str(error).splitlines(), status=_EXIT_FAILED)
+    except MemoryError:
+        return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)
     except BrokenPipeError:
         # Whoever read our output is gone; keep the interpreter from complaining about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -85,7 +87,10 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     kernels = choose_kernels()
     if kernels.shortfall is not None:
         print(f"biobot-mapper: warning: {kernels.shortfall}", file=sys.stderr)
-    result = compute_map(table, (*spells, *stationary_spells(table, stationary)), make_recipe(config.recipe), kernels=kernels)
+    try:
+        result = compute_map(table, (*spells, *stationary_spells(table, stationary)), make_recipe(config.recipe), kernels=kernels)
+    except MemoryError as error:
+        raise OutOfMemoryError(n_encounters=len(table)) from error
     if absent:
         warning = f"stationary biobots {', '.join(map(str, absent))} are in no encounter"
         result = replace(result, warnings=(*result.warnings, warning))
@@ -126,9 +131,10 @@ def _write_outputs(result: MapResult, facts: Mapping[str, float | None], args: a
     from mapper.render import render_map  # noqa: PLC0415  # see _run
     from mapper.report import summarize, to_json_object  # noqa: PLC0415  # see _run
 
-    for path, image_format in ((args.svg, "svg"), (args.png, "png")):
-        if path is not None:
-            write_output(path, render_map(result, image_format=image_format))
+    if args.svg is not None:
+        write_output(args.svg, render_map(result, image_format="svg"))
+    if args.png is not None:
+        write_output(args.png, render_map(result, image_format="png"))
     if args.json is not None:
         text = json.dumps({**to_json_object(result), **facts}, allow_nan=False) + "\n"
         write_output(args.json, text.encode())

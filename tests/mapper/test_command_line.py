@@ -166,6 +166,36 @@ def test_an_interrupt_while_libraries_are_imported_is_no_traceback(ring: Path, d
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
+# Runs with little more memory than the libraries take.
+LIMITED = """
+import resource
+import sys
+from pathlib import Path
+import mapper.encounter_csv, mapper.pipeline
+from mapper.__main__ import main
+
+used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + {spare}, resource.RLIM_INFINITY))
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("spare", "reason"),
+    [
+        (1_000_000, "not enough memory for all that is read; split the file by time"),
+        (20_000_000, "not enough memory for 100000 encounters; map a window of time (--window-s, --from-s, --until-s)"),
+    ],
+)
+def test_too_little_memory_is_one_line(tmp_path: Path, spare: int, reason: str) -> None:
+    path = tmp_path / "encounters.csv"
+    path.write_text(HEADER + "".join(f"{k / 100},{k / 100},{k % 97},{100 + k % 89}\n" for k in range(100_000)))
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED.format(spare=spare), "run", str(path)], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", f"biobot-mapper: error: {reason}\n")
+
+
 def _run_without(refused: set[str], *arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", REFUSE.format(refused=refused), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
