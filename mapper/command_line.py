@@ -6,26 +6,28 @@
 import argparse
 import json
 import os
+import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
-from mapper.config import load_mapper_config, make_recipe
+from mapper.config import ServiceConfig, load_mapper_config, make_recipe
 from mapper.errors import MapError, OutOfMemoryError, TooFewEncountersError
 from mapper.output_files import STANDARD, check_outputs, is_standard_output, write_output
 from mapper.types import MapResult, Method, MetricKind
 
 _MAX_ID = 2**63 - 1
+_NEGATIVE = re.compile(r"-([0-9]+\.?[0-9]*|\.[0-9]+)[eE][+-]?[0-9]+|-(inf|infinity|nan)", re.ASCII | re.IGNORECASE)
 _EXIT_FAILED, _EXIT_USAGE = 1, 2
 
 
 def run_command_line(given: Sequence[str]) -> int:
     """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
     parser = _make_parser(given)
-    args = parser.parse_args(given)
+    args = parser.parse_args(_join_negative_numbers(given))
     try:
         status = _dispatch(args, parser)
         sys.stdout.flush()
@@ -44,9 +46,7 @@ def run_command_line(given: Sequence[str]) -> int:
 
 def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     if args.check_config:
-        load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
-        print(f"{args.config or 'defaults and environment'}: the configuration is valid")
-        return 0
+        return _check_configuration(args)
     if args.command == "run":
         return _run(args, parser)
     if args.command == "serve":
@@ -59,6 +59,32 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         return _warm_up(args)
     parser.print_usage(sys.stderr)
     return _complain(["give a command: run, serve, feasibility or warm-up"], status=_EXIT_USAGE)
+
+
+def _check_configuration(args: argparse.Namespace) -> int:
+    """Check file, environment and the flags of the command, all of them before any fault is told."""
+    from mapper.feasibility_report import check_given  # noqa: PLC0415  # see _run
+    from mapper.kernels import choose_kernels  # noqa: PLC0415  # see _run
+    from mapper.time_limits import make_limits  # noqa: PLC0415  # see _run
+
+    flags = _recipe_flags(args)
+    if args.command == "serve":
+        flags |= {f"serve.{name}": getattr(args, name, None) for name in ServiceConfig.__struct_fields__}
+    checks: list[Callable[[], object]] = [lambda: load_mapper_config(args.config, environment=os.environ, flags=flags), choose_kernels]
+    if args.command == "run":
+        checks.append(lambda: make_limits(window_s=args.window_s, from_s=args.from_s, until_s=args.until_s))
+    if args.command == "feasibility":
+        checks.append(lambda: check_given(args))
+    problems: list[str] = []
+    for check in checks:
+        try:
+            check()
+        except ConfigurationError as error:
+            problems += error.problems
+    if problems:
+        raise ConfigurationError(problems)
+    print(f"{args.config or 'defaults and environment'}: the configuration is valid")
+    return 0
 
 
 def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
@@ -193,6 +219,17 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("--json", type=Path, metavar="FILE", help="write the map as JSON; - is standard output, then without the summary")
     run.add_argument("--svg", type=Path, metavar="FILE", help="write a picture; - as above")
     run.add_argument("--png", type=Path, metavar="FILE", help="write a picture; - as above")
+
+
+def _join_negative_numbers(given: Sequence[str]) -> list[str]:
+    """Write ``--flag -1e2`` as ``--flag=-1e2``: argparse takes a negative number with an exponent for a flag of its own."""
+    joined: list[str] = []
+    for part in given:
+        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and _NEGATIVE.fullmatch(part):
+            joined[-1] += f"={part}"
+        else:
+            joined.append(part)
+    return joined
 
 
 def _recipe_flags(args: argparse.Namespace) -> dict[str, object]:

@@ -85,7 +85,7 @@ def read_encounters(path: Path, *, kernels: KernelsKind | None = None) -> Encoun
     ------
     InputFileError
         The file cannot be read, is no such CSV, or has bad rows; up to ten are listed with line and reason, and the rest counted.
-    KernelsError
+    ConfigurationError, KernelsError
         As for `mapper.kernels.choose_kernels`.
     """
     start, end, id1, id2 = _read_columns(path, kernels)

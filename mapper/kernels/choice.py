@@ -5,6 +5,7 @@ import os
 from functools import cache
 from typing import Protocol
 
+from firmware_protocol.errors import ConfigurationError
 from mapper.errors import KernelsError
 from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
 from mapper.kernels.binding import LibraryMissing, load_library
@@ -66,8 +67,10 @@ def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
 
     Raises
     ------
+    ConfigurationError
+        The choice is none of the three.
     KernelsError
-        The choice is none of the three, or compiled kernels are asked for and not there.
+        Compiled kernels are asked for and not there.
     """
     return _choose(os.environ.get(_VARIABLE, KernelsKind.AUTO) if choice is None else choice)
 
@@ -75,7 +78,7 @@ def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
 @cache
 def _choose(asked: str) -> Kernels:
     if asked not in set(KernelsKind):
-        raise KernelsError(problem=f"{_VARIABLE} is {asked!r}", next_step=f"set it to {', '.join(KernelsKind)}, or not at all")
+        raise ConfigurationError([f"{_VARIABLE} is {asked!r}; set it to {', '.join(KernelsKind)}, or not at all"])
     if asked == KernelsKind.PLAIN:
         return PlainKernels(reason=f"they were asked for; set {_VARIABLE} to {KernelsKind.AUTO} for the compiled ones")
     try:

@@ -335,6 +335,36 @@ def test_check_config_reports_every_fault_at_once(tmp_path: Path, capsys: pytest
     assert all(word in errors for word in ("n_points", "magic", "colour"))
 
 
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (["serve", "--window-s", "-4"], "serve.window_s is -4"),
+        (["serve", "--port", "99999"], "serve.port is 99999"),
+        (["serve", "--site", "a/b"], "site"),
+        (["run", "--window-s", "-4"], "--window-s is -4; wanted 0.001 to"),
+        (["run", "--from-s", "5", "--until-s", "5"], "--from-s and --until-s are both 5"),
+        (["run", "--speed-mps", "-1"], "recipe.speed_mps is -1"),
+        (["feasibility", "--side", "-5"], "--side is -5"),
+    ],
+)
+def test_check_config_looks_at_the_flags_too(capsys: pytest.CaptureFixture[str], arguments: list[str], fault: str) -> None:
+    assert main([*arguments, "--check-config"]) == 2
+    assert fault in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["serve", "--port", "0"], ["run", "--window-s", "4"], ["feasibility"], ["warm-up"], []])
+def test_check_config_finds_good_flags_valid(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    assert main([*arguments, "--check-config"]) == 0
+    assert "is valid" in capsys.readouterr().out
+
+
+def test_kernels_of_no_known_kind_are_bad_configuration() -> None:
+    for arguments in (["--check-config"], ["warm-up"], ["run", os.devnull]):
+        done = _run(*arguments, environment={"BIOBOT_KERNELS": "foo"})
+        assert done.returncode == 2
+        assert done.stderr == "biobot-mapper: error: BIOBOT_KERNELS is 'foo'; set it to auto, compiled, plain, or not at all\n"
+
+
 @pytest.mark.parametrize(("candidates", "code"), [(0, 0), (999, 2), (1_000, 0), (20_000, 0)])
 def test_a_limit_of_candidates_leaves_enough_to_pick_from(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], candidates: int, code: int
