@@ -40,6 +40,7 @@ _MIN_TIME_S, _MAX_TIME_S = -300_000_000, 4_000_000_000
 _SHOWN_LENGTH = 40
 _PIECE_BYTES = 2**20
 _STANDARD_INPUT = Path("/dev/stdin")
+_SIGNS_OF_AN_OPEN_QUOTE = ("field limit", "end of data")
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?", re.ASCII)
 _WHOLE = re.compile(r"[0-9]{1,40}", re.ASCII)
 
@@ -199,7 +200,8 @@ def _records(text: str, faults: _Faults) -> Iterator[tuple[int, list[str]]]:
         except StopIteration:
             return
         except csv.Error as error:
-            faults.add(line, f"not a CSV row: {error}")
+            hint = "; is a quote not closed?" if any(sign in str(error) for sign in _SIGNS_OF_AN_OPEN_QUOTE) else ""
+            faults.add(line, f"not a CSV row: {error}{hint}")
             return
         if len(record) > 1 or (record and record[0].strip()):
             yield line, record

@@ -46,8 +46,9 @@ def _faults(tmp_path: Path, content: str | bytes) -> tuple[str, ...]:
         ("1,2,3,4,", "line 3: 5 fields, but the header names 4; is the decimal sign a comma?"),
         ("1,2,7", "line 3: 3 fields, so id2 is missing; wanted t_start_s,t_end_s,id1,id2"),
         ("1", "line 3: 1 fields, so t_end_s, id1, id2 is missing; wanted t_start_s,t_end_s,id1,id2"),
-        ('1,2,1,"2', "line 3: not a CSV row: unexpected end of data"),
-        ("1,2,1," + 200_000 * "2", "line 3: not a CSV row: field larger than field limit (131072)"),
+        ('1,2,1,"2', "line 3: not a CSV row: unexpected end of data; is a quote not closed?"),
+        ('1,2,"1,3\n' + 20_000 * GOOD, "line 3: not a CSV row: field larger than field limit (131072); is a quote not closed?"),
+        ("1,2,1," + 200_000 * "2", "line 3: not a CSV row: field larger than field limit (131072); is a quote not closed?"),
         ("1,2,1," + 99 * "2", f"line 3: id2 is '{37 * '2'}...'; wanted a whole number from 0 to 2^63-1"),
     ],
 )
@@ -65,7 +66,7 @@ def test_a_bad_row_is_named_with_its_line_and_reason(tmp_path: Path, row: str, r
         ("t_start_s,t_end_s,id1,id2,id1\n", "line 1: the header names id1 twice; wanted t_start_s,t_end_s,id1,id2"),
         (HEADER.encode() + b"1,2,3,4\n\xff\xfe", "line 3: byte 0xff is not UTF-8 text; is this a CSV file?"),
         (b"\x7fELF\x02\x01\x01\x00\x00", "line 1: a NUL byte; is this a CSV file?"),
-        ('"t_start_s\n', "line 1: not a CSV row: unexpected end of data"),
+        ('"t_start_s\n', "line 1: not a CSV row: unexpected end of data; is a quote not closed?"),
     ],
 )
 def test_a_file_that_is_no_such_csv_is_refused_with_its_reason(tmp_path: Path, content: str | bytes, reason: str) -> None:

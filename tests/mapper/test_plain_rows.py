@@ -104,9 +104,9 @@ def test_a_field_longer_than_csv_allows_is_not_plain(path: Path) -> None:
             outcome(path, KernelsKind.COMPILED)
             == outcome(path, KernelsKind.PLAIN)
             == (
-                ("line 2: not a CSV row: field larger than field limit (98)",),
+                ("line 2: not a CSV row: field larger than field limit (98); is a quote not closed?",),
                 1,
-                f"{path}: line 2: not a CSV row: field larger than field limit (98)",
+                f"{path}: line 2: not a CSV row: field larger than field limit (98); is a quote not closed?",
             )
         )
     finally:
