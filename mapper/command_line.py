@@ -122,7 +122,7 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         result = replace(result, warnings=(*result.warnings, warning))
     for warning in result.warnings:
         print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
-    _write_outputs(result, facts, args)
+    _write_outputs(result, facts, args, part=limits.describe())
     return 0
 
 
@@ -153,19 +153,19 @@ def _given(*paths: Path | None) -> list[Path]:
     return [path for path in paths if path is not None]
 
 
-def _write_outputs(result: MapResult, facts: Mapping[str, float | None], args: argparse.Namespace) -> None:
+def _write_outputs(result: MapResult, facts: Mapping[str, float | None], args: argparse.Namespace, *, part: str | None) -> None:
     from mapper.render import render_map  # noqa: PLC0415  # see _run
     from mapper.report import summarize, to_json_object  # noqa: PLC0415  # see _run
 
     if args.svg is not None:
-        write_output(args.svg, render_map(result, image_format="svg"))
+        write_output(args.svg, render_map(result, image_format="svg", part=part))
     if args.png is not None:
-        write_output(args.png, render_map(result, image_format="png"))
+        write_output(args.png, render_map(result, image_format="png", part=part))
     if args.json is not None:
         text = json.dumps({**to_json_object(result), **facts}, allow_nan=False) + "\n"
         write_output(args.json, text.encode())
     if not any(map(is_standard_output, _given(args.json, args.svg, args.png))):
-        print(summarize(result))
+        print(summarize(result, part=part))
 
 
 def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:

@@ -167,10 +167,8 @@ def _warn_of_anchors(placed: Sequence[PlacedComponent]) -> list[str]:
         counted = f"{len(lacking)} of the {len(placed)} components mapped have fewer than {MIN_LANDMARKS} landmarks, which profiles need"
         return [f"{counted}, so encounters serve as references there; {next_step}"]
     index, part = lacking[0]
-    return [
-        f"component {index} has {part.summary.n_landmarks} of the {MIN_LANDMARKS} landmarks that profiles need, so {part.n_anchors} of its "
-        f"encounters serve as references too; {next_step}"
-    ]
+    counted = f"component {index} has {part.summary.n_landmarks} of the {MIN_LANDMARKS} landmarks that profiles need"
+    return [f"{counted}, so {part.n_anchors} of its encounters serve as references too; {next_step}"]
 
 
 def _assemble(

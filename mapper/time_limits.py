@@ -41,6 +41,11 @@ class TimeLimits:
         }
         return clipped, facts
 
+    def describe(self) -> str | None:
+        """Name the limits that there are, for a person; None where there are none."""
+        told = (("from", self.from_ns), ("until", self.until_ns), ("the newest", self.window_ns))
+        return ", ".join(f"{name} {limit / _NS_PER_S:g} s" for name, limit in told if limit is not None) or None
+
 
 def make_limits(*, window_s: float | None, from_s: float | None, until_s: float | None) -> TimeLimits:
     """Check limits [s] given on a command line.

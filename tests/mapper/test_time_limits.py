@@ -76,5 +76,13 @@ def test_a_map_of_a_part_of_a_file_says_of_which(tmp_path: Path, capsys: pytest.
     assert main([*common, "--from-s", "-1e2", "--until-s", "1.1e2"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["since_s"], document["until_s"], document["n_before"]) == (-100, 110, 0)
+    picture = tmp_path / "map.svg"
+    told = ["--svg", str(picture), "--from-s", "20", "--until-s", "110", "--window-s", "80", "--method", "paper"]
+    assert main([*common[:-2], *told]) == 0
+    assert "part           from 20 s, until 110 s, the newest 80 s\n" in capsys.readouterr().out
+    assert "from 20 s, until 110 s, the newest 80 s, method paper, metric encounter" in picture.read_text()
+    assert main([*common[:-2], "--svg", str(picture)]) == 0
+    assert "part " not in capsys.readouterr().out
+    assert "method" not in picture.read_text()
     assert main([*common, "--from-s", "-inf"]) == 2
     assert "--from-s is -inf; wanted a time of the file" in capsys.readouterr().err
