@@ -40,7 +40,7 @@ CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {
 VARIABLES: dict[str, tuple[type[Enum], str]] = {
     KERNELS_VARIABLE: (
         KernelsKind,
-        "kernels of `biobot-mapper`: compiled where they are there, compiled or none, or plain ones, slower with the same map; default `auto`",
+        "kernels of `biobot-mapper`: compiled where they are there, compiled or none, or plain, slower with the same map; default `auto`",
     ),
 }
 
