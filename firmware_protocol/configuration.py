@@ -5,8 +5,9 @@ The configuration itself is a ``msgspec.Struct`` whose fields are scalars, tuple
 """
 
 import tomllib
-from collections.abc import Mapping
-from typing import Any, TypeVar
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -64,12 +65,13 @@ def load_configuration(
         if value is not None:
             flag = "--" + dotted.rsplit(".", 1)[-1].replace("_", "-")
             _merge(merged, _nest(dotted.split("."), value), origin=origin, source=flag)
-    values = _convert_fields(config_type, merged, prefix="", origin=origin, problems=problems)
+    from_file = f"{toml_name}: " if toml_text is not None else ""
+    values = _convert_fields(config_type, merged, prefix="", origin=origin, problems=problems, where=from_file)
     if not problems:
         try:
             return config_type(**values)
         except (TypeError, ValueError) as error:
-            problems.append(f"{toml_name}: {error}" if toml_text is not None else str(error))
+            problems.append(f"{from_file}{error}")
     raise ConfigurationError(problems)
 
 
@@ -97,7 +99,7 @@ def _merge(into: dict[str, Any], new: Mapping[str, Any], *, origin: dict[str, st
 
 
 def _convert_fields(
-    config_type: type[msgspec.Struct], given: Mapping[str, Any], *, prefix: str, origin: Mapping[str, str], problems: list[str]
+    config_type: type[msgspec.Struct], given: Mapping[str, Any], *, prefix: str, origin: Mapping[str, str], problems: list[str], where: str
 ) -> dict[str, Any]:
     fields = {field.encode_name: field for field in msgspec.structs.fields(config_type)}
     known = ", ".join(sorted(fields))
@@ -110,7 +112,7 @@ def _convert_fields(
         dotted = prefix + key
         if key not in given:
             if field.required:
-                problems.append(f"missing key {dotted!r}")
+                problems.append(f"{where}missing key {dotted!r}")
             continue
         value = given[key]
         if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct):
@@ -118,7 +120,7 @@ def _convert_fields(
             if not isinstance(value, Mapping):
                 problems.append(f"{origin.get(dotted, '?')}: {dotted} is {value!r}, but must be a table")
                 continue
-            inner = _convert_fields(field.type, value, prefix=f"{dotted}.", origin=origin, problems=problems)
+            inner = _convert_fields(field.type, value, prefix=f"{dotted}.", origin=origin, problems=problems, where=where)
             if len(problems) == before:
                 _try(problems, f"{origin.get(dotted, '?')}: {dotted}", values, field.name, lambda t=field.type, v=inner: t(**v))
         else:
@@ -128,6 +130,7 @@ def _convert_fields(
                 values,
                 field.name,
                 lambda t=field.type, v=value: _convert(v, t),
+                choices=_choices(field.type),
             )
     return values
 
@@ -142,14 +145,24 @@ def _convert(value: object, wanted: Any) -> object:
     return msgspec.convert(value, wanted)
 
 
+def _choices(kind: Any) -> list[str]:
+    """List what a type allows where it is, or is a list of, one of some names; else nothing."""
+    if get_origin(kind) is Literal:
+        return [str(one) for one in get_args(kind)]
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return [str(one.value) for one in kind]
+    return [name for part in get_args(kind) for name in _choices(part)]
+
+
 def _shown(value: object) -> str:
     return repr(str(value)) if isinstance(value, _Text) else repr(value)
 
 
-def _try(problems: list[str], label: str, values: dict[str, Any], name: str, make: Any) -> None:
+def _try(problems: list[str], label: str, values: dict[str, Any], name: str, make: Any, *, choices: Sequence[str] = ()) -> None:
     try:
         values[name] = make()
     except msgspec.ValidationError as error:
-        problems.append(f"{label}: {error}")
+        wanted = f"; wanted {' or '.join(choices)}" if choices else ""
+        problems.append(f"{label}: {error}{wanted}")
     except (TypeError, ValueError) as error:
         problems.append(f"{label}: {error}")

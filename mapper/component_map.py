@@ -18,8 +18,8 @@ from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, Recipe, read_only
 
-# Distances to one or two places cannot tell the two sides of a line apart.
-_MIN_LANDMARKS = 3
+MIN_LANDMARKS = 3
+"""Landmarks that profiles need: distances to one or two places cannot tell the two sides of a line apart."""
 # Of times from vertices to landmarks [numbers: half a gigabyte], and of detours over a third place that brackets try [some seconds of a
 # core]. 32 landmarks are used whatever it costs.
 _MAX_PROFILE_NUMBERS = 2**26
@@ -31,7 +31,8 @@ _LEAST_MOST = 32
 class PlacedComponent:
     """A component's map before it is put beside the others; point indices count from 0 within it.
 
-    ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2).
+    ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2). ``n_anchors`` encounters served as
+    references because landmarks were too few.
     """
 
     summary: ComponentMap
@@ -39,6 +40,7 @@ class PlacedComponent:
     coordinates: FloatArray
     holes: tuple[Hole, ...]
     skeleton: Skeleton
+    n_anchors: int
     warnings: tuple[str, ...]
 
 
@@ -71,7 +73,7 @@ def map_component(
         The persistence engine is not installed.
     """
     begin("metric")
-    references, warnings = _choose_references(graph, recipe, index=index)
+    references, n_anchors, warnings = _choose_references(graph, recipe, index=index)
     metric, kept, candidates = _compare_and_filter(graph, references, recipe, begin=begin)
     begin("subsample")
     sample = subsample_maxmin(metric, candidates, n_points=n_points)
@@ -109,31 +111,28 @@ def map_component(
         coordinates=embedding.coordinates,
         holes=holes,
         skeleton=build_skeleton(lengths, epsilon=epsilon),
+        n_anchors=n_anchors,
         warnings=warnings,
     )
 
 
-def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> tuple[IntArray, tuple[str, ...]]:
-    """Choose the places that profiles measure from; the encounter metric asks for none."""
+def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> tuple[IntArray, int, tuple[str, ...]]:
+    """Choose the places that profiles measure from, and say how many of them are encounters; the encounter metric asks for none."""
     if recipe.metric is MetricKind.ENCOUNTER:
-        return graph.landmarks, ()
-    if len(graph.landmarks) >= _MIN_LANDMARKS:
+        return graph.landmarks, 0, ()
+    if len(graph.landmarks) >= MIN_LANDMARKS:
         limit = max(_LEAST_MOST, min(_MAX_PROFILE_NUMBERS // graph.n_vertices, isqrt(_MAX_DETOURS // graph.n_vertices)))
         references = graph.busiest_landmarks(limit)
         if len(references) == len(graph.landmarks):
-            return references, ()
+            return references, 0, ()
         warning = (
             f"a landmark stood at {len(graph.landmarks)} places of component {index}; its encounters are measured from the {limit} places "
             "with most encounters, which is what time and memory allow; a map of a window of time would use more"
         )
-        return references, (warning,)
+        return references, 0, (warning,)
     along_graph = EncounterMetric(graph=graph)
     anchors = subsample_maxmin(along_graph, _inliers(along_graph, recipe), n_points=recipe.n_anchors).vertices
-    warning = (
-        f"component {index} has {len(graph.landmarks)} of the {_MIN_LANDMARKS} landmarks that profiles need, so {len(anchors)} of its "
-        "encounters serve as references too; let 10-20 % of the biobots stand still"
-    )
-    return np.union1d(graph.landmarks, anchors), (warning,)
+    return np.union1d(graph.landmarks, anchors), len(anchors), ()
 
 
 def _compare_and_filter(

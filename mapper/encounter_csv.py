@@ -1,7 +1,8 @@
 """Read encounters and mode spells from CSV files, and say exactly what is wrong with a bad one.
 
-Columns are found by their names, in any order; further columns are left alone. A byte order mark, CRLF, quoted fields, blank lines and
-spaces around a value are accepted. Times are decimal seconds and become whole nanoseconds without passing through a float.
+Columns are found by their names, in any order; further columns that the header names are left alone. A byte order mark, CRLF, quoted
+fields, blank lines and spaces around a value are accepted. Times are decimal seconds and become whole nanoseconds without passing through
+a float.
 
 Files of encounters are read by the compiled library where it is there and every row is plain. Everything else, and whatever is wrong, is
 read here row by row: the same table, and the words for what is wrong.
@@ -38,6 +39,8 @@ _MAX_ID = 2**63 - 1
 _MIN_TIME_S, _MAX_TIME_S = -300_000_000, 4_000_000_000
 _SHOWN_LENGTH = 40
 _PIECE_BYTES = 2**20
+_STANDARD_INPUT = Path("/dev/stdin")
+_SIGNS_OF_AN_OPEN_QUOTE = ("field limit", "end of data")
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?", re.ASCII)
 _WHOLE = re.compile(r"[0-9]{1,40}", re.ASCII)
 
@@ -59,12 +62,20 @@ class _Faults:
             self.shown.append(f"line {line}: {reason}")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Layout:
+    """Where in a row each column that is read stands, counted from 0, and how many columns the header names."""
+
+    place: Mapping[str, int]
+    n_columns: int
+
+
 class _FieldError(ValueError):
     """A value in a row is not what its column wants."""
 
 
 def read_encounters(path: Path, *, kernels: KernelsKind | None = None) -> EncounterTable:
-    """Read a file with the columns ``t_start_s,t_end_s,id1,id2``.
+    """Read a file with the columns ``t_start_s,t_end_s,id1,id2``; the name ``-`` is standard input.
 
     Parameters
     ----------
@@ -75,7 +86,7 @@ def read_encounters(path: Path, *, kernels: KernelsKind | None = None) -> Encoun
     ------
     InputFileError
         The file cannot be read, is no such CSV, or has bad rows; up to ten are listed with line and reason, and the rest counted.
-    KernelsError
+    ConfigurationError, KernelsError
         As for `mapper.kernels.choose_kernels`.
     """
     start, end, id1, id2 = _read_columns(path, kernels)
@@ -112,8 +123,9 @@ def _read_plain_rows(path: Path, data: bytes, kernels: KernelsKind | None) -> tu
     header = list(_records(data[:begin].decode("utf-8-sig"), faults))
     if faults.count or len(header) != 1:
         return None
-    place = _find_columns(path, header[0], columns=ENCOUNTER_COLUMNS, faults=faults)
-    return read_rows(library, data, begin=begin, places=tuple(place.values()), longest_field=csv.field_size_limit())
+    layout = _find_columns(path, header[0], columns=ENCOUNTER_COLUMNS, faults=faults)
+    places = tuple(layout.place.values())
+    return read_rows(library, data, begin=begin, places=places, n_columns=layout.n_columns, longest_field=csv.field_size_limit())
 
 
 def _is_text(data: bytes) -> bool:
@@ -136,10 +148,10 @@ def _read_rows(path: Path, data: bytes, *, columns: Sequence[str], parse: Callab
     faults = _Faults()
     parsed: list[RowT] = []
     records = _records(_decode(path, data), faults)
-    place = _find_columns(path, next(records, None), columns=columns, faults=faults)
+    layout = _find_columns(path, next(records, None), columns=columns, faults=faults)
     for line, record in records:
         try:
-            parsed.append(parse(_pick_fields(record, place)))
+            parsed.append(parse(_pick_fields(record, layout)))
         except _FieldError as error:
             faults.add(line, str(error))
     if faults.count:
@@ -149,7 +161,7 @@ def _read_rows(path: Path, data: bytes, *, columns: Sequence[str], parse: Callab
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
+        with (_STANDARD_INPUT if path == Path("-") else path).open("rb") as file:
             status = os.fstat(file.fileno())
             is_regular = stat.S_ISREG(status.st_mode)
             is_too_long = is_regular and status.st_size > _MAX_FILE_BYTES
@@ -188,13 +200,14 @@ def _records(text: str, faults: _Faults) -> Iterator[tuple[int, list[str]]]:
         except StopIteration:
             return
         except csv.Error as error:
-            faults.add(line, f"not a CSV row: {error}")
+            hint = "; is a quote not closed?" if any(sign in str(error) for sign in _SIGNS_OF_AN_OPEN_QUOTE) else ""
+            faults.add(line, f"not a CSV row: {error}{hint}")
             return
         if len(record) > 1 or (record and record[0].strip()):
             yield line, record
 
 
-def _find_columns(path: Path, header: tuple[int, list[str]] | None, *, columns: Sequence[str], faults: _Faults) -> dict[str, int]:
+def _find_columns(path: Path, header: tuple[int, list[str]] | None, *, columns: Sequence[str], faults: _Faults) -> _Layout:
     wanted = ",".join(columns)
     if header is None:
         reason = faults.shown[0] if faults.count else f"line 1: the file is empty; wanted the header {wanted}"
@@ -209,14 +222,16 @@ def _find_columns(path: Path, header: tuple[int, list[str]] | None, *, columns: 
         )
     if repeated:
         raise InputFileError(path=str(path), faults=[f"line {line}: the header names {', '.join(repeated)} twice; wanted {wanted}"])
-    return {name: names.index(name) for name in columns}
+    return _Layout(place={name: names.index(name) for name in columns}, n_columns=len(names))
 
 
-def _pick_fields(record: Sequence[str], place: Mapping[str, int]) -> dict[str, str]:
-    missing = [name for name, index in place.items() if index >= len(record)]
+def _pick_fields(record: Sequence[str], layout: _Layout) -> dict[str, str]:
+    missing = [name for name, index in layout.place.items() if index >= len(record)]
     if missing:
-        raise _FieldError(f"{len(record)} fields, so {', '.join(missing)} is missing; wanted {','.join(place)}")
-    return {name: record[index].strip() for name, index in place.items()}
+        raise _FieldError(f"{len(record)} fields, so {', '.join(missing)} is missing; wanted {','.join(layout.place)}")
+    if len(record) > layout.n_columns:
+        raise _FieldError(f"{len(record)} fields, but the header names {layout.n_columns}; is the decimal sign a comma?")
+    return {name: record[index].strip() for name, index in layout.place.items()}
 
 
 def _parse_encounter(row: Mapping[str, str]) -> tuple[int, int, int, int]:

@@ -4,6 +4,7 @@ MapError
 ├── InputFileError         a file of encounters or modes cannot be used; its faults are listed line by line
 ├── TooFewEncountersError  there is nothing to make a map of yet
 ├── TooManyEncountersError the kernels cannot number so many encounters
+├── OutOfMemoryError       there is not enough memory for so many encounters
 ├── UnknownBiobotError     a biobot was named that is in no encounter
 ├── OutputFileError        a result cannot be written where it was asked for
 ├── EngineMissingError     a library that this step needs is not installed
@@ -65,6 +66,16 @@ class TooManyEncountersError(MapError):
         super().__init__(f"{n_encounters} encounters, but a map can be made of at most {maximum}; map a window of time")
         self.n_encounters = n_encounters
         self.maximum = maximum
+
+
+class OutOfMemoryError(MapError):
+    """There is not enough memory for a map of so many encounters; None where not even all of them could be read."""
+
+    def __init__(self, *, n_encounters: int | None) -> None:
+        counted = "all that is read" if n_encounters is None else f"{n_encounters} encounters"
+        next_step = "split the file by time" if n_encounters is None else "map a window of time (--window-s, --from-s, --until-s)"
+        super().__init__(f"not enough memory for {counted}; {next_step}")
+        self.n_encounters = n_encounters
 
 
 class UnknownBiobotError(MapError):

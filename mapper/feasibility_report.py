@@ -12,10 +12,11 @@ from mapper.encounter_csv import read_encounters
 from mapper.errors import TooFewEncountersError
 from mapper.feasibility import FURTHEST
 from mapper.forecast import Comparison, Forecast, Outlook, compare_recording, duration_text, forecast
-from mapper.plan import check_obstacle, make_plan
+from mapper.plan import Plan, check_obstacle, make_plan
 from mapper.report import JsonObject, JsonValue
 from mapper.resolution import load_law
 
+_PLAN_FLAGS = ("side", "area", "perimeter", "biobots", "landmarks", "speed", "mean_leg", "detection_radius")
 _NS_PER_S = 1e9
 _SHOWN_CHANGES = 5
 _WIDTH = 96
@@ -52,18 +53,7 @@ def report(args: argparse.Namespace) -> tuple[str, JsonObject]:
     MapError
         The recording cannot be used.
     """
-    plan = make_plan(
-        side=args.side,
-        area=args.area,
-        perimeter=args.perimeter,
-        biobots=args.biobots,
-        landmarks=args.landmarks,
-        speed=args.speed,
-        mean_leg=args.mean_leg,
-        detection_radius=args.detection_radius,
-        duration_s=args.time,
-    )
-    check_obstacle(args.obstacle, plan)
+    plan = _make_plan(args)
     law = load_law()
     foretold = forecast(plan, law, obstacle=args.obstacle)
     comparison = None
@@ -74,6 +64,18 @@ def report(args: argparse.Namespace) -> tuple[str, JsonObject]:
         span_s = (int(table.t_end_ns.max()) - int(table.t_start_ns.min())) / _NS_PER_S
         comparison = compare_recording(plan, law, encounters=len(table), duration_s=span_s)
     return describe(foretold, comparison), to_json_object(foretold, comparison)
+
+
+def check_given(args: argparse.Namespace) -> None:
+    """Check the plan that flags describe; none at all is no fault.
+
+    Raises
+    ------
+    ConfigurationError
+        Numbers are missing, out of range or contradict each other.
+    """
+    if any(getattr(args, name) is not None for name in (*_PLAN_FLAGS, "time", "obstacle")):
+        _make_plan(args)
 
 
 def describe(foretold: Forecast, comparison: Comparison | None = None) -> str:
@@ -144,6 +146,12 @@ def to_json_object(foretold: Forecast, comparison: Comparison | None = None) -> 
 def to_json(document: JsonObject) -> str:
     """Write a forecast as one line of JSON."""
     return json.dumps(document, allow_nan=False) + "\n"
+
+
+def _make_plan(args: argparse.Namespace) -> Plan:
+    plan = make_plan(**{name: getattr(args, name) for name in _PLAN_FLAGS}, duration_s=args.time)
+    check_obstacle(args.obstacle, plan)
+    return plan
 
 
 def _outlook(outlook: Outlook) -> dict[str, object]:

@@ -8,7 +8,7 @@ import numpy as np
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NS_PER_S
 from mapper.betti import load_trained_rules
-from mapper.component_map import PlacedComponent, map_component
+from mapper.component_map import MIN_LANDMARKS, PlacedComponent, map_component
 from mapper.encounter_graph import Components, build_components
 from mapper.errors import TooFewEncountersError
 from mapper.kernels import Kernels
@@ -85,6 +85,7 @@ def compute_map(
         )
     report("done", 1.0)
     warnings = [*_warn_of_span(table), *_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]
+    warnings += _warn_of_anchors(placed)
     warnings += [warning for part in placed for warning in part.warnings]
     return _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(parts), warnings=warnings)
 
@@ -155,6 +156,19 @@ def _warn_of_components(parts: Components, *, n_mapped: int) -> list[str]:
     if left_out:
         text += f"; {len(parts) - n_mapped} with too few encounters ({left_out} in all) left out"
     return [text]
+
+
+def _warn_of_anchors(placed: Sequence[PlacedComponent]) -> list[str]:
+    lacking = [(index, part) for index, part in enumerate(placed) if part.n_anchors]
+    if not lacking:
+        return []
+    next_step = "let 10-20 % of the biobots stand still"
+    if len(lacking) > 1:
+        counted = f"{len(lacking)} of the {len(placed)} components mapped have fewer than {MIN_LANDMARKS} landmarks, which profiles need"
+        return [f"{counted}, so encounters serve as references there; {next_step}"]
+    index, part = lacking[0]
+    counted = f"component {index} has {part.summary.n_landmarks} of the {MIN_LANDMARKS} landmarks that profiles need"
+    return [f"{counted}, so {part.n_anchors} of its encounters serve as references too; {next_step}"]
 
 
 def _assemble(

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from mapper.config import RecipeConfig, make_recipe
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from mapper.types import MapResult
+    from mapper.types import MapResult, Recipe
 
 ImageFormat = Literal["svg", "png"]
 
@@ -20,8 +22,13 @@ _TRIANGLE, _EDGE, _HOLE, _NOISE = "#56b4e9", "#999999", "#d55e00", "#0072b2"
 _MAX_DRAWN_TRIANGLES = 20_000
 
 
-def render_map(result: MapResult, *, image_format: ImageFormat) -> bytes:
+def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None = None) -> bytes:
     """Draw points, complex and hole outlines beside the persistence diagram.
+
+    Parameters
+    ----------
+    part
+        Of which part of a record the map is, for its title; None for all of it.
 
     Returns
     -------
@@ -42,13 +49,13 @@ def render_map(result: MapResult, *, image_format: ImageFormat) -> bytes:
         figure = Figure(figsize=(11, 5.5), layout="constrained")
         FigureCanvasAgg(figure)
         map_axes, diagram_axes = figure.subplots(1, 2, width_ratios=(1.2, 1))
-        _draw_map(map_axes, result)
+        _draw_map(map_axes, result, part=part)
         _draw_diagram(diagram_axes, result)
         figure.savefig(buffer, format=image_format, dpi=120, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()
 
 
-def _draw_map(axes: Axes, result: MapResult) -> None:
+def _draw_map(axes: Axes, result: MapResult, *, part: str | None) -> None:
     from matplotlib.collections import LineCollection, PolyCollection  # noqa: PLC0415  # see render_map
 
     points = result.points
@@ -64,11 +71,19 @@ def _draw_map(axes: Axes, result: MapResult) -> None:
         axes.plot(*outline.T, color=_HOLE, linewidth=2, zorder=4)
         axes.annotate(str(number), outline[:-1].mean(axis=0), color=_HOLE, weight="bold", ha="center", va="center", zorder=5)
     b0, b1 = result.betti_numbers
-    axes.set_title(f"map: b0 = {b0}, b1 = {b1}, {result.n_encounters} encounters")
+    unusual = ", ".join(filter(None, [part, _unusual_method(result.recipe)]))
+    axes.set_title(f"map: b0 = {b0}, b1 = {b1}, {result.n_encounters} encounters" + (f"\n{unusual}" if unusual else ""))
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(f"x [{result.length_unit}]")
     axes.set_ylabel(f"y [{result.length_unit}]")
     axes.autoscale_view()
+
+
+def _unusual_method(recipe: Recipe) -> str | None:
+    usual = make_recipe(RecipeConfig())
+    if (recipe.method, recipe.metric) == (usual.method, usual.metric):
+        return None
+    return f"method {recipe.method}, metric {recipe.metric}"
 
 
 def _draw_diagram(axes: Axes, result: MapResult) -> None:

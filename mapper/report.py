@@ -59,14 +59,15 @@ def to_json_object(result: MapResult) -> JsonObject:
     }
 
 
-def summarize(result: MapResult) -> str:
-    """Describe a map in a few lines for a person; without the warnings."""
+def summarize(result: MapResult, *, part: str | None = None) -> str:
+    """Describe a map in a few lines for a person; without the warnings. ``part`` says of which part of a record the map is."""
     b0, b1 = result.betti_numbers
     unit = result.length_unit
     recipe = result.recipe
     lines = [
         f"{_counted(b0, 'component')}, {_counted(b1, 'hole')}",
         f"encounters     {result.n_encounters}, of which {result.n_used} used; {len(result.points)} points drawn",
+        *([] if part is None else [f"part           {part}"]),
         f"method         {recipe.method}, metric {recipe.metric}",
         f"diameter       {result.diameter:.6g} {unit}",
         f"lost spectrum  {result.lost_spectrum:.1%} of the shape does not fit the plane",

@@ -41,6 +41,11 @@ class TimeLimits:
         }
         return clipped, facts
 
+    def describe(self) -> str | None:
+        """Name the limits that there are, for a person; None where there are none."""
+        told = (("from", self.from_ns), ("until", self.until_ns), ("the newest", self.window_ns))
+        return ", ".join(f"{name} {limit / _NS_PER_S:g} s" for name, limit in told if limit is not None) or None
+
 
 def make_limits(*, window_s: float | None, from_s: float | None, until_s: float | None) -> TimeLimits:
     """Check limits [s] given on a command line.
@@ -58,7 +63,9 @@ def make_limits(*, window_s: float | None, from_s: float | None, until_s: float 
     for flag, instant_s in (("--from-s", from_s), ("--until-s", until_s)):
         if instant_s is not None and not (isfinite(instant_s) and abs(instant_s) <= _MAX_INSTANT_S):
             faults.append(f"{flag} is {instant_s:g}; wanted a time of the file in seconds, at most {_MAX_INSTANT_S:g} from zero")
-    if not faults and from_s is not None and until_s is not None and from_s >= until_s:
+    if not faults and from_s is not None and from_s == until_s:
+        faults.append(f"--from-s and --until-s are both {from_s:g}, so nothing lies between; wanted the first before the second")
+    if not faults and from_s is not None and until_s is not None and from_s > until_s:
         faults.append(f"--from-s is {from_s:g} and --until-s {until_s:g}; wanted the first before the second; swap them?")
     if faults:
         raise ConfigurationError(faults)

@@ -51,7 +51,7 @@ def warm_up() -> Warmth:
     ------
     EngineMissingError
         A library is not installed.
-    KernelsError
+    ConfigurationError, KernelsError
         The kernels that the environment asks for are not there.
     SelfTestError
         The map is wrong.

@@ -24,6 +24,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from mapper.kernels import KERNELS_VARIABLE
 from mapper.types import KernelsKind, Method
 from studies.errors import BenchmarkError, StudyError
 from studies.long_run import cut_run
@@ -43,8 +44,6 @@ from studies.map_measures import (
 )
 from studies.map_report import to_markdown
 from studies.map_timing import CASES
-
-_KERNELS_VARIABLE = "BIOBOT_KERNELS"
 
 _SIZES = (10_000, 30_000, 100_000, 300_000, 1_000_000, 3_000_000)
 _QUICK_SIZES = (2_000, 10_000)
@@ -253,7 +252,7 @@ def _core_s_of_children() -> float:
 
 def _run(arguments: Sequence[str], *, kernels: KernelsKind) -> bytes:
     """Run a module of ours in a fresh process, and return what it printed."""
-    environment = {**os.environ, _KERNELS_VARIABLE: kernels.value}
+    environment = {**os.environ, KERNELS_VARIABLE: kernels.value}
     command = [sys.executable, "-m", *arguments]
     done = subprocess.run(command, capture_output=True, check=False, env=environment)
     if done.returncode:

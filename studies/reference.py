@@ -1,4 +1,4 @@
-"""Write docs/reference.md: every flag of every command and every configuration key, from the code itself.
+"""Write docs/reference.md: every flag of every command, every configuration key and further variable, from the code itself.
 
 ``python -m studies.reference > docs/reference.md``; a test compares what it finds with the file.
 """
@@ -16,6 +16,8 @@ import msgspec
 from firmware_protocol.errors import ConfigurationError
 from gateway.config import GatewayConfig
 from mapper.config import MapperConfig
+from mapper.kernels import KERNELS_VARIABLE
+from mapper.types import KernelsKind
 from simulator.config import RunConfig
 from simulator.pictures.render import RenderConfig
 from simulator.replay_config import ReplayConfig
@@ -33,6 +35,13 @@ CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {
     "biobot-sim replay": ReplayConfig,
     "biobot-gateway run": GatewayConfig,
     "biobot-mapper": MapperConfig,
+}
+# What stands in no configuration, because it is about how the program is installed here.
+VARIABLES: dict[str, tuple[type[Enum], str]] = {
+    KERNELS_VARIABLE: (
+        KernelsKind,
+        "kernels of `biobot-mapper`: compiled where they are there, compiled or none, or plain, slower with the same map; default `auto`",
+    ),
 }
 
 _LIMITS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
@@ -98,6 +107,8 @@ def reference() -> str:
     for title, config in CONFIGURATIONS.items():
         parts += ["", f"### {title}", "", "| key | type | default |", "|---|---|---|"]
         parts += [f"| `{key}` | {kind} | {default} |" for key, kind, default in configuration_keys(config)]
+    parts += ["", "## Further environment variables", "", "| variable | value | meaning |", "|---|---|---|"]
+    parts += [f"| `{name}` | {_type_name(kind)} | {meaning} |" for name, (kind, meaning) in VARIABLES.items()]
     return "\n".join(parts) + "\n"
 
 

@@ -1,5 +1,6 @@
 """What the documents say is true: commands run, flags and keys are listed, links lead somewhere."""
 
+import os
 import re
 import shlex
 import subprocess
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.reference import COMMANDS, CONFIGURATIONS, configuration_keys, help_text
+from studies.reference import COMMANDS, CONFIGURATIONS, VARIABLES, configuration_keys, help_text
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -74,6 +75,15 @@ def test_every_configuration_key_is_in_the_reference(title: str) -> None:
 
     for key, kind, default in configuration_keys(CONFIGURATIONS[title]):
         assert f"| `{key}` | {kind} | {default} |" in section, "run: python -m studies.reference > docs/reference.md"
+
+
+def test_every_further_variable_is_in_the_reference_and_its_values_are_taken() -> None:
+    section = REFERENCE.split("## Further environment variables\n")[1]
+    for name, (kind, meaning) in VARIABLES.items():
+        assert f"| `{name}` | {' or '.join(f'`{one.value}`' for one in kind)} | {meaning} |" in section
+        for value in kind:
+            environment = os.environ | {name: str(value.value)}
+            subprocess.run([sys.executable, "-m", "mapper", "--check-config"], env=environment, check=True, timeout=60)
 
 
 OURS = ("docs", "firmware_protocol", "gateway", "mapper", "simulator", "studies", "docker")

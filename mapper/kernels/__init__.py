@@ -1,7 +1,19 @@
 """The mapper's kernels: one set of functions, compiled from C where that was possible, plain numpy and scipy elsewhere; same results."""
 
 from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
-from mapper.kernels.choice import Kernels, choose_kernels, find_library
+from mapper.kernels.choice import KERNELS_VARIABLE, Kernels, choose_kernels, find_library
 from mapper.kernels.encounter_rows import read_rows
 
-__all__ = ["Contraction", "Kernels", "Links", "Picks", "Rows", "Stands", "VertexArray", "choose_kernels", "find_library", "read_rows"]
+__all__ = [
+    "KERNELS_VARIABLE",
+    "Contraction",
+    "Kernels",
+    "Links",
+    "Picks",
+    "Rows",
+    "Stands",
+    "VertexArray",
+    "choose_kernels",
+    "find_library",
+    "read_rows",
+]

@@ -51,7 +51,7 @@ _FUNCTIONS = {
     ),
     "bracket": (c_int, (_Array, c_int64, c_int32, _Array, _Array)),
     "pick_profiles": (c_int32, (_Array, c_int64, c_int32, c_int32, c_int32, _Array, _Array, POINTER(c_double))),
-    "read_rows": (c_int64, (_Array, c_int64, _Array, c_int64, c_int64, _Array, _Array, _Array, _Array)),
+    "read_rows": (c_int64, (_Array, c_int64, _Array, c_int64, c_int64, c_int64, _Array, _Array, _Array, _Array)),
     "count_lines": (c_int64, (_Array, c_int64)),
     "plant_tree": (c_int, (*_LEAVES, _Array, _Array, c_int32, *_TREE, POINTER(c_double))),
     "average_nearest": (c_int, (*_LEAVES, *_TREE, c_double, c_int32, c_int32, c_int32, _Array)),

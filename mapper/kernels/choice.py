@@ -5,6 +5,7 @@ import os
 from functools import cache
 from typing import Protocol
 
+from firmware_protocol.errors import ConfigurationError
 from mapper.errors import KernelsError
 from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
 from mapper.kernels.binding import LibraryMissing, load_library
@@ -12,7 +13,9 @@ from mapper.kernels.compiled import CompiledKernels
 from mapper.kernels.plain import PlainKernels
 from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNorm
 
-_VARIABLE = "BIOBOT_KERNELS"
+KERNELS_VARIABLE = "BIOBOT_KERNELS"
+"""Name of the environment variable."""
+
 _INSTALL = "install gcc and libc6-dev and install the package again"
 
 
@@ -66,18 +69,20 @@ def choose_kernels(choice: KernelsKind | None = None) -> Kernels:
 
     Raises
     ------
+    ConfigurationError
+        The choice is none of the three.
     KernelsError
-        The choice is none of the three, or compiled kernels are asked for and not there.
+        Compiled kernels are asked for and not there.
     """
-    return _choose(os.environ.get(_VARIABLE, KernelsKind.AUTO) if choice is None else choice)
+    return _choose(os.environ.get(KERNELS_VARIABLE, KernelsKind.AUTO) if choice is None else choice)
 
 
 @cache
 def _choose(asked: str) -> Kernels:
     if asked not in set(KernelsKind):
-        raise KernelsError(problem=f"{_VARIABLE} is {asked!r}", next_step=f"set it to {', '.join(KernelsKind)}, or not at all")
+        raise ConfigurationError([f"{KERNELS_VARIABLE} is {asked!r}; set it to {', '.join(KernelsKind)}, or not at all"])
     if asked == KernelsKind.PLAIN:
-        return PlainKernels(reason=f"they were asked for; set {_VARIABLE} to {KernelsKind.AUTO} for the compiled ones")
+        return PlainKernels(reason=f"they were asked for; set {KERNELS_VARIABLE} to {KernelsKind.AUTO} for the compiled ones")
     try:
         return CompiledKernels(load_library())
     except LibraryMissing as error:

@@ -209,5 +209,9 @@ def _share(run: Callable[[int, int], int], n: int, *, per_thread: int = _ROWS_OF
         return
     bounds = [n * part // n_threads for part in range(n_threads + 1)]
     with ThreadPoolExecutor(n_threads) as pool:
-        for outcome in pool.map(run, bounds[:-1], bounds[1:]):
+        try:
+            outcomes = pool.map(run, bounds[:-1], bounds[1:])
+        except RuntimeError as error:
+            raise MemoryError("no room for the stack of a thread of a kernel") from error
+        for outcome in outcomes:
             _check(outcome)

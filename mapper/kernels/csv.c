@@ -148,9 +148,9 @@ static const char *split_row(const char *p, const char *end, const int64_t *plac
 }
 
 /* Read n_bytes of rows into columns of `room` rows. place[c] is the field of column c, counted from 0; a field of more than `longest` bytes is
-   out of the ordinary, and so is whatever is not a good row or a blank line. Returns how many rows there are, or a negative number. */
-KERNEL int64_t read_rows(const char *text, int64_t n_bytes, const int64_t *place, int64_t longest, int64_t room, int64_t *t_start_ns,
-                         int64_t *t_end_ns, int64_t *id1, int64_t *id2) {
+   out of the ordinary, and so is a row of more than n_columns fields, and whatever is not a good row or a blank line. Returns how many rows there are, or a negative number. */
+KERNEL int64_t read_rows(const char *text, int64_t n_bytes, const int64_t *place, int64_t n_columns, int64_t longest, int64_t room,
+                         int64_t *t_start_ns, int64_t *t_end_ns, int64_t *id1, int64_t *id2) {
   const char *p = text, *end = text + n_bytes;
   int64_t row = 0, n_needed = 0, n_fields;
   for (int column = 0; column < N_COLUMNS; column++) n_needed = place[column] < n_needed ? n_needed : place[column] + 1;
@@ -163,7 +163,7 @@ KERNEL int64_t read_rows(const char *text, int64_t n_bytes, const int64_t *place
       while (begin < p && (is_blank(*begin) || *begin == '\r' || *begin == '\n')) begin++;
       if (begin == p) continue;
     }
-    if (n_fields < n_needed || row == room) return OUT_OF_THE_ORDINARY;
+    if (n_fields < n_needed || n_fields > n_columns || row == room) return OUT_OF_THE_ORDINARY;
     if (!read_time(wanted[T_START], &t_start_ns[row]) || !read_time(wanted[T_END], &t_end_ns[row]) || !read_id(wanted[ID1], &id1[row]) ||
         !read_id(wanted[ID2], &id2[row]) || t_end_ns[row] < t_start_ns[row] || id1[row] == id2[row])
       return OUT_OF_THE_ORDINARY;

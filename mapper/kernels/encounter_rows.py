@@ -9,7 +9,7 @@ from mapper.types import IntArray
 
 
 def read_rows(
-    library: ctypes.CDLL, data: bytes, *, begin: int, places: Sequence[int], longest_field: int
+    library: ctypes.CDLL, data: bytes, *, begin: int, places: Sequence[int], n_columns: int, longest_field: int
 ) -> tuple[IntArray, IntArray, IntArray, IntArray] | None:
     """Read all rows of a file from byte ``begin`` on, where every one of them is plain.
 
@@ -19,6 +19,8 @@ def read_rows(
         The file: UTF-8 without NUL, which is not checked here.
     places
         The fields of a row that hold ``t_start_s``, ``t_end_s``, ``id1`` and ``id2``, counted from 0.
+    n_columns
+        Rows of more fields are not plain.
     longest_field
         Fields of more bytes are not plain.
 
@@ -34,7 +36,7 @@ def read_rows(
     # Pages that are not written to cost nothing.
     columns = tuple(np.empty(room, dtype=np.int64) for _ in range(4))
     addresses = (column.ctypes.data for column in columns)
-    n_rows = int(library.read_rows(text.ctypes.data, len(text), fields.ctypes.data, longest_field, room, *addresses))
+    n_rows = int(library.read_rows(text.ctypes.data, len(text), fields.ctypes.data, n_columns, longest_field, room, *addresses))
     if n_rows < 0:
         return None
     start, end, id1, id2 = (column[:n_rows] for column in columns)

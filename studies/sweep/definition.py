@@ -113,6 +113,17 @@ def load_sweep(path: Path, *, flags: Mapping[str, object]) -> Sweep:
         for number, one in enumerate(listed)
         for key in sorted(one.keys() & grid.keys())
     ]
+    problems += [
+        f"{path}: {key} in grid holds {value!r} {values.count(value)} times; give each value once"
+        for key, values in grid.items()
+        for number, value in enumerate(values)
+        if values.count(value) > 1 and values.index(value) == number
+    ]
+    problems += [
+        f"{path}: cases[{number}] says the same as cases[{listed.index(one)}]; leave it out"
+        for number, one in enumerate(listed)
+        if listed.index(one) < number
+    ]
     n_cases = len(listed) * prod(map(len, grid.values())) * config.repeats
     if n_cases > MAX_CASES:
         problems.append(f"{path}: grid, cases and repeats make {n_cases} cases; wanted at most {MAX_CASES}")

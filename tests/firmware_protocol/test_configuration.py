@@ -1,6 +1,7 @@
 """Configuration: sources in order, faults all at once."""
 
-from typing import Annotated
+from enum import Enum
+from typing import Annotated, Literal
 
 import msgspec
 import pytest
@@ -66,6 +67,27 @@ def test_all_faults_are_reported_together_with_their_source() -> None:
     ):
         assert part in text
     assert len(caught.value.problems) == 5
+
+
+class Colour(Enum):
+    RED = "red"
+    BLUE = "blue"
+
+
+class Painted(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    name: str
+    colour: Colour | None = None
+    sides: tuple[Literal["left", "right"], ...] = ()
+
+
+def test_a_name_that_is_not_allowed_is_told_with_those_that_are_and_a_missing_key_with_its_file() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        load_configuration(Painted, environment_prefix="X", toml_name="x.toml", toml_text='colour = "green"\nsides = ["up"]\n')
+    missing, colour, sides = caught.value.problems
+    assert missing == "x.toml: missing key 'name'"
+    assert (colour.split("; ")[1], sides.split("; ")[1]) == ("wanted red or blue", "wanted left or right")
+    with pytest.raises(ConfigurationError, match=r"^missing key 'name'$"):
+        load_configuration(Painted, environment_prefix="X")
 
 
 def test_a_rule_between_fields_is_reported_as_a_fault() -> None:

@@ -305,6 +305,7 @@ def test_the_page_refers_to_nothing_outside_and_to_nothing_missing() -> None:
 def test_every_error_of_the_mapper_that_can_reach_the_web_has_a_status() -> None:
     offline = {
         "InputFileError",
+        "OutOfMemoryError",
         "UnknownBiobotError",
         "OutputFileError",
         "EngineMissingError",

@@ -94,6 +94,9 @@ def test_the_same_input_gives_the_same_bytes(ring: Path, tmp_path: Path) -> None
         (HEADER + "nan,2,5,6\n", "line 2: t_start_s is 'nan'"),
         (HEADER + "1,inf,5,6\n", "line 2: t_end_s is 'inf'"),
         (HEADER + "1,2,5\n", "line 2: 3 fields, so id2 is missing"),
+        (HEADER + "0,000,0,002,20,54\n", "line 2: 6 fields, but the header names 4; is the decimal sign a comma?"),
+        (HEADER + "1,2,5,6\n1,5,2,3,4\n", "line 3: 5 fields, but the header names 4"),
+        (HEADER + "2,5,3,4,\n", "line 2: 5 fields, but the header names 4"),
         (os.urandom(999) + b"\xff", "is this a CSV file?"),
         ("", "line 1: the file is empty"),
         ("a,b,c\n", "line 1: the header 'a,b,c' lacks t_start_s"),
@@ -136,6 +139,61 @@ sys.meta_path.insert(0, Refuse())
 from mapper.__main__ import main
 sys.exit(main())
 """
+
+
+# Interrupts itself while the libraries are imported.
+INTERRUPT = """
+import os
+import signal
+import sys
+from importlib.abc import MetaPathFinder
+
+class Interrupt(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == {during!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupt())
+from mapper.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("during", ["msgspec", "mapper.config", "mapper.encounter_csv"])
+def test_an_interrupt_while_libraries_are_imported_is_no_traceback(ring: Path, during: str) -> None:
+    command = [sys.executable, "-c", INTERRUPT.format(during=during), "run", str(ring / "encounters.csv")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+# Runs with little more memory than the libraries take.
+LIMITED = """
+import resource
+import sys
+from pathlib import Path
+import mapper.encounter_csv, mapper.pipeline
+from mapper.__main__ import main
+
+used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + {spare}, resource.RLIM_INFINITY))
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("spare", "reason"),
+    [
+        (1_000_000, "not enough memory for all that is read; split the file by time"),
+        (20_000_000, "not enough memory for 100000 encounters; map a window of time (--window-s, --from-s, --until-s)"),
+    ],
+)
+def test_too_little_memory_is_one_line(tmp_path: Path, spare: int, reason: str) -> None:
+    path = tmp_path / "encounters.csv"
+    path.write_text(HEADER + "".join(f"{k / 100},{k / 100},{k % 97},{100 + k % 89}\n" for k in range(100_000)))
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED.format(spare=spare), "run", str(path)], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", f"biobot-mapper: error: {reason}\n")
 
 
 def _run_without(refused: set[str], *arguments: object) -> subprocess.CompletedProcess[str]:
@@ -275,6 +333,36 @@ def test_check_config_reports_every_fault_at_once(tmp_path: Path, capsys: pytest
     assert main(arguments) == 2
     errors = capsys.readouterr().err
     assert all(word in errors for word in ("n_points", "magic", "colour"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (["serve", "--window-s", "-4"], "serve.window_s is -4"),
+        (["serve", "--port", "99999"], "serve.port is 99999"),
+        (["serve", "--site", "a/b"], "site"),
+        (["run", "--window-s", "-4"], "--window-s is -4; wanted 0.001 to"),
+        (["run", "--from-s", "5", "--until-s", "5"], "--from-s and --until-s are both 5"),
+        (["run", "--speed-mps", "-1"], "recipe.speed_mps is -1"),
+        (["feasibility", "--side", "-5"], "--side is -5"),
+    ],
+)
+def test_check_config_looks_at_the_flags_too(capsys: pytest.CaptureFixture[str], arguments: list[str], fault: str) -> None:
+    assert main([*arguments, "--check-config"]) == 2
+    assert fault in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["serve", "--port", "0"], ["run", "--window-s", "4"], ["feasibility"], ["warm-up"], []])
+def test_check_config_finds_good_flags_valid(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    assert main([*arguments, "--check-config"]) == 0
+    assert "is valid" in capsys.readouterr().out
+
+
+def test_kernels_of_no_known_kind_are_bad_configuration() -> None:
+    for arguments in (["--check-config"], ["warm-up"], ["run", os.devnull]):
+        done = _run(*arguments, environment={"BIOBOT_KERNELS": "foo"})
+        assert done.returncode == 2
+        assert done.stderr == "biobot-mapper: error: BIOBOT_KERNELS is 'foo'; set it to auto, compiled, plain, or not at all\n"
 
 
 @pytest.mark.parametrize(("candidates", "code"), [(0, 0), (999, 2), (1_000, 0), (20_000, 0)])

@@ -43,10 +43,13 @@ def _faults(tmp_path: Path, content: str | bytes) -> tuple[str, ...]:
         ("1,2,1.0,7", "line 3: id1 is '1.0'; wanted a whole number from 0 to 2^63-1"),
         ("1,2,-1,7", "line 3: id1 is '-1'; wanted a whole number from 0 to 2^63-1"),
         ("1,2,7,9223372036854775808", "line 3: id2 is '9223372036854775808'; wanted a whole number from 0 to 2^63-1"),
+        ("0,000,0,002,20,54", "line 3: 6 fields, but the header names 4; is the decimal sign a comma?"),
+        ("1,2,3,4,", "line 3: 5 fields, but the header names 4; is the decimal sign a comma?"),
         ("1,2,7", "line 3: 3 fields, so id2 is missing; wanted t_start_s,t_end_s,id1,id2"),
         ("1", "line 3: 1 fields, so t_end_s, id1, id2 is missing; wanted t_start_s,t_end_s,id1,id2"),
-        ('1,2,1,"2', "line 3: not a CSV row: unexpected end of data"),
-        ("1,2,1," + 200_000 * "2", "line 3: not a CSV row: field larger than field limit (131072)"),
+        ('1,2,1,"2', "line 3: not a CSV row: unexpected end of data; is a quote not closed?"),
+        ('1,2,"1,3\n' + 20_000 * GOOD, "line 3: not a CSV row: field larger than field limit (131072); is a quote not closed?"),
+        ("1,2,1," + 200_000 * "2", "line 3: not a CSV row: field larger than field limit (131072); is a quote not closed?"),
         ("1,2,1," + 99 * "2", f"line 3: id2 is '{37 * '2'}...'; wanted a whole number from 0 to 2^63-1"),
     ],
 )
@@ -64,7 +67,7 @@ def test_a_bad_row_is_named_with_its_line_and_reason(tmp_path: Path, row: str, r
         ("t_start_s,t_end_s,id1,id2,id1\n", "line 1: the header names id1 twice; wanted t_start_s,t_end_s,id1,id2"),
         (HEADER.encode() + b"1,2,3,4\n\xff\xfe", "line 3: byte 0xff is not UTF-8 text; is this a CSV file?"),
         (b"\x7fELF\x02\x01\x01\x00\x00", "line 1: a NUL byte; is this a CSV file?"),
-        ('"t_start_s\n', "line 1: not a CSV row: unexpected end of data"),
+        ('"t_start_s\n', "line 1: not a CSV row: unexpected end of data; is a quote not closed?"),
     ],
 )
 def test_a_file_that_is_no_such_csv_is_refused_with_its_reason(tmp_path: Path, content: str | bytes, reason: str) -> None:
@@ -114,10 +117,10 @@ def test_a_pipe_is_read_to_its_end() -> None:
         HEADER + "\n" + GOOD + "\n  \n\n",
         '"t_start_s","t_end_s","id1","id2"\n"1.5","2.5","1","2"\n',
         " t_start_s , t_end_s , id1 , id2 \n 1.5 , 2.5\t, 1 , 2 \n",
-        "rssi_dbm,id2,id1,t_end_s,t_start_s,note\n-70,2,1,2.5,1.5,'grüezi, all'\n",
+        'rssi_dbm,id2,id1,t_end_s,t_start_s,note\n-70,2,1,2.5,1.5,"grüezi, all"\n',
         HEADER + "1.5,2.5,2,1\n",
         HEADER + "1.5,2.5,1,2",
-        HEADER + "15e-1,+2.50000000000,1,2,,,\n",
+        HEADER.replace("\n", ",,,\n") + "15e-1,+2.50000000000,1,2,,,\n",
     ],
 )
 def test_common_dialects_mean_the_same(tmp_path: Path, content: str) -> None:

@@ -166,7 +166,14 @@ def test_without_landmarks_the_map_says_what_it_lacks() -> None:
     rows, _ = walk_track(n_landmarks=12, n_walkers=10, duration_s=60, seed=9, is_ring=True)
     result = compute_map(table_of(rows), (), make_recipe(RecipeConfig()))
     assert any(warning.startswith("no landmarks") for warning in result.warnings)
-    assert any("0 of the 3 landmarks that profiles need" in warning for warning in result.warnings)
+    assert any("component 0 has 0 of the 3 landmarks that profiles need" in warning for warning in result.warnings)
+
+
+def test_many_components_without_landmarks_are_one_warning() -> None:
+    rows, _ = _two_rings(n_second=29)
+    result = compute_map(table_of(rows), (), make_recipe(RecipeConfig()))
+    (told,) = [warning for warning in result.warnings if "profiles need" in warning]
+    assert told.startswith("2 of the 2 components mapped have fewer than 3 landmarks, which profiles need")
 
 
 def test_spells_of_another_clock_are_noticed() -> None:

@@ -94,7 +94,7 @@ def test_kernels_that_are_demanded_and_unknown_are_refused_before_anything_is_op
 ) -> None:
     monkeypatch.setenv("BIOBOT_KERNELS", "fast")
     store = tmp_path / "records.db"
-    assert main(["serve", "--store", str(store), "--port", "0"]) == 1
+    assert main(["serve", "--store", str(store), "--port", "0"]) == 2
     assert "BIOBOT_KERNELS is 'fast'; set it to auto, compiled, plain, or not at all" in capsys.readouterr().err
     assert not store.exists()
 

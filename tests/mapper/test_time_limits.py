@@ -47,7 +47,8 @@ def test_what_lies_between_is_left_and_cut(
         ({"window_s": -5}, "--window-s is -5"),
         ({"from_s": float("inf")}, "--from-s is inf"),
         ({"until_s": 1e300}, r"--until-s is 1e\+300"),
-        ({"from_s": 5, "until_s": 5}, "--from-s is 5 and --until-s 5; wanted the first before the second"),
+        ({"from_s": 6, "until_s": 5}, "--from-s is 6 and --until-s 5; wanted the first before the second; swap them"),
+        ({"from_s": 5, "until_s": 5}, "--from-s and --until-s are both 5, so nothing lies between"),
     ],
 )
 def test_limits_that_cannot_be_are_refused_with_value_and_limit(limits: dict[str, float], message: str) -> None:
@@ -71,3 +72,17 @@ def test_a_map_of_a_part_of_a_file_says_of_which(tmp_path: Path, capsys: pytest.
     assert main([*common, "--from-s", "5000"]) == 1
     assert f"0 encounters of {len(rows)} between the times wanted, but a map needs at least 2; widen --from-s" in capsys.readouterr().err
     assert main([*common, "--window-s", "-1"]) == 2
+    capsys.readouterr()
+    assert main([*common, "--from-s", "-1e2", "--until-s", "1.1e2"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["since_s"], document["until_s"], document["n_before"]) == (-100, 110, 0)
+    picture = tmp_path / "map.svg"
+    told = ["--svg", str(picture), "--from-s", "20", "--until-s", "110", "--window-s", "80", "--method", "paper"]
+    assert main([*common[:-2], *told]) == 0
+    assert "part           from 20 s, until 110 s, the newest 80 s\n" in capsys.readouterr().out
+    assert "from 20 s, until 110 s, the newest 80 s, method paper, metric encounter" in picture.read_text()
+    assert main([*common[:-2], "--svg", str(picture)]) == 0
+    assert "part " not in capsys.readouterr().out
+    assert "method" not in picture.read_text()
+    assert main([*common, "--from-s", "-inf"]) == 2
+    assert "--from-s is -inf; wanted a time of the file" in capsys.readouterr().err

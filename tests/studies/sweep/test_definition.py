@@ -86,7 +86,14 @@ def test_repeats_can_be_given_on_the_command_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", "missing key 'name'"),
+        ("", r"sweep\.toml: missing key 'name'"),
+        (
+            'name = "made"\ngrid.run.scenario = ["office", "maze", "office"]',
+            r"sweep\.toml: run\.scenario in grid holds 'office' 2 times; give",
+        ),
+        ('name = "made"\n[[cases]]\n[[cases]]\nrun.scenario = "maze"\n[[cases]]\n', r"sweep\.toml: cases\[2\] says the same as cases\[0\]"),
+        ('name = "made"\ngrid.recipe.method = ["magic"]', r"grid\.recipe\.method is \['magic'\]: .*; wanted default or paper"),
+        ('name = "made"\ngrid.run.sensing = ["foo"]', r"grid\.run\.sensing is \['foo'\]: .*; wanted ideal or "),
         ('name = "made"\nrepeat = 3', r"sweep\.toml: unknown key 'repeat'; known here: cases, first_seed, grid, name, repeats"),
         ('name = "no good"', r"sweep\.toml: name is 'no good'"),
         ('name = "made"\nrepeats = 0', r"sweep\.toml: repeats is 0"),

@@ -1,0 +1,250 @@
+"""Commands of the mapper, their flags and outputs.
+
+``run`` maps a file, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need.
+"""
+
+import argparse
+import json
+import os
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+from firmware_protocol.errors import ConfigurationError
+from mapper.config import ServiceConfig, load_mapper_config, make_recipe
+from mapper.errors import MapError, OutOfMemoryError, TooFewEncountersError
+from mapper.output_files import STANDARD, check_outputs, is_standard_output, write_output
+from mapper.types import MapResult, Method, MetricKind
+
+_MAX_ID = 2**63 - 1
+_NEGATIVE = re.compile(r"-([0-9]+\.?[0-9]*|\.[0-9]+)[eE][+-]?[0-9]+|-(inf|infinity|nan)", re.ASCII | re.IGNORECASE)
+_EXIT_FAILED, _EXIT_USAGE = 1, 2
+
+
+def run_command_line(given: Sequence[str]) -> int:
+    """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
+    parser = _make_parser(given)
+    args = parser.parse_args(_join_negative_numbers(given))
+    try:
+        status = _dispatch(args, parser)
+        sys.stdout.flush()
+    except ConfigurationError as error:
+        return _complain(error.problems, status=_EXIT_USAGE)
+    except MapError as error:
+        return _complain(str(error).splitlines(), status=_EXIT_FAILED)
+    except MemoryError:
+        return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)
+    except BrokenPipeError:
+        # Whoever read our output is gone; keep the interpreter from complaining about it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _EXIT_FAILED
+    return status
+
+
+def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    if args.check_config:
+        return _check_configuration(args)
+    if args.command == "run":
+        return _run(args, parser)
+    if args.command == "serve":
+        from mapper.service import main as serve  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
+
+        return serve(args)
+    if args.command == "feasibility":
+        return _foretell(args)
+    if args.command == "warm-up":
+        return _warm_up(args)
+    parser.print_usage(sys.stderr)
+    return _complain(["give a command: run, serve, feasibility or warm-up"], status=_EXIT_USAGE)
+
+
+def _check_configuration(args: argparse.Namespace) -> int:
+    """Check file, environment and the flags of the command, all of them before any fault is told."""
+    from mapper.feasibility_report import check_given  # noqa: PLC0415  # see _run
+    from mapper.kernels import choose_kernels  # noqa: PLC0415  # see _run
+    from mapper.time_limits import make_limits  # noqa: PLC0415  # see _run
+
+    flags = _recipe_flags(args)
+    if args.command == "serve":
+        flags |= {f"serve.{name}": getattr(args, name, None) for name in ServiceConfig.__struct_fields__}
+    checks: list[Callable[[], object]] = [lambda: load_mapper_config(args.config, environment=os.environ, flags=flags), choose_kernels]
+    if args.command == "run":
+        checks.append(lambda: make_limits(window_s=args.window_s, from_s=args.from_s, until_s=args.until_s))
+    if args.command == "feasibility":
+        checks.append(lambda: check_given(args))
+    problems: list[str] = []
+    for check in checks:
+        try:
+            check()
+        except ConfigurationError as error:
+            problems += error.problems
+    if problems:
+        raise ConfigurationError(problems)
+    print(f"{args.config or 'defaults and environment'}: the configuration is valid")
+    return 0
+
+
+def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    if args.encounters is None:
+        parser.error("run: give the CSV file of encounters")
+    config = load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
+    # numpy and scipy take half a second: usage errors and --help do not wait for them.
+    from mapper.encounter_csv import read_encounters, read_modes  # noqa: PLC0415
+    from mapper.kernels import choose_kernels  # noqa: PLC0415
+    from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415
+    from mapper.time_limits import make_limits  # noqa: PLC0415
+    from mapper.window import absent_biobots, stationary_spells  # noqa: PLC0415
+
+    inputs = _given(args.encounters, args.modes)
+    if inputs.count(STANDARD) > 1:
+        parser.error("run: standard input can be given for one file")
+    check_outputs(_given(args.json, args.svg, args.png), [*inputs, *_given(args.config)])
+    limits = make_limits(window_s=args.window_s, from_s=args.from_s, until_s=args.until_s)
+    table, facts = limits.clip(read_encounters(args.encounters))
+    if len(table) < MIN_ENCOUNTERS:
+        n_outside = int(facts["n_before"] or 0) + int(facts["n_after"] or 0)
+        raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=str(args.encounters), n_outside=n_outside)
+    spells = read_modes(args.modes) if args.modes is not None else ()
+    stationary = args.stationary or ()
+    absent = absent_biobots(table, stationary)
+    kernels = choose_kernels()
+    if kernels.shortfall is not None:
+        print(f"biobot-mapper: warning: {kernels.shortfall}", file=sys.stderr)
+    try:
+        result = compute_map(table, (*spells, *stationary_spells(table, stationary)), make_recipe(config.recipe), kernels=kernels)
+    except MemoryError as error:
+        raise OutOfMemoryError(n_encounters=len(table)) from error
+    if absent:
+        warning = f"stationary biobots {', '.join(map(str, absent))} are in no encounter"
+        result = replace(result, warnings=(*result.warnings, warning))
+    for warning in result.warnings:
+        print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
+    _write_outputs(result, facts, args, part=limits.describe())
+    return 0
+
+
+def _foretell(args: argparse.Namespace) -> int:
+    from mapper.feasibility_report import report, to_json  # noqa: PLC0415  # see _run
+
+    check_outputs(_given(args.json), _given(args.encounters, args.config))
+    text, document = report(args)
+    if args.json is not None:
+        write_output(args.json, to_json(document).encode())
+    if args.json is None or not is_standard_output(args.json):
+        print(text)
+    return 0
+
+
+def _warm_up(args: argparse.Namespace) -> int:
+    from mapper.warm_up import warm_up  # noqa: PLC0415  # see _run
+
+    warmth = warm_up()
+    if not args.quiet:
+        print(*warmth.lines(), sep="\n")
+    elif warmth.shortfall is not None:
+        print(f"biobot-mapper: warning: {warmth.shortfall}", file=sys.stderr)
+    return 0
+
+
+def _given(*paths: Path | None) -> list[Path]:
+    return [path for path in paths if path is not None]
+
+
+def _write_outputs(result: MapResult, facts: Mapping[str, float | None], args: argparse.Namespace, *, part: str | None) -> None:
+    from mapper.render import render_map  # noqa: PLC0415  # see _run
+    from mapper.report import summarize, to_json_object  # noqa: PLC0415  # see _run
+
+    if args.svg is not None:
+        write_output(args.svg, render_map(result, image_format="svg", part=part))
+    if args.png is not None:
+        write_output(args.png, render_map(result, image_format="png", part=part))
+    if args.json is not None:
+        text = json.dumps({**to_json_object(result), **facts}, allow_nan=False) + "\n"
+        write_output(args.json, text.encode())
+    if not any(map(is_standard_output, _given(args.json, args.svg, args.png))):
+        print(summarize(result, part=part))
+
+
+def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
+    about = "From encounters between walking biobots to a map of the space they walked."
+    parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
+    _add_common(parser, default=None)
+    commands = parser.add_subparsers(dest="command", metavar="{run,serve,feasibility,warm-up}")
+    run = commands.add_parser("run", help="make a map of a CSV file", description="Make a map of a CSV file of encounters.")
+    _add_common(run, default=argparse.SUPPRESS)
+    _add_run_arguments(run)
+    serve = commands.add_parser("serve", help="keep a live map and serve it", description="Keep a live map and serve it over HTTP.")
+    _add_common(serve, default=argparse.SUPPRESS)
+    if "serve" in given:
+        from mapper.service import add_arguments  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
+
+        add_arguments(serve)
+    about = "Say how many encounters a plan gives, what obstacles a map will show and when, and what to change."
+    feasibility = commands.add_parser("feasibility", help="say what a map will show, before anybody walks", description=about)
+    _add_common(feasibility, default=argparse.SUPPRESS)
+    if "feasibility" in given:
+        from mapper.feasibility_report import add_arguments as add_plan_arguments  # noqa: PLC0415  # see _run
+
+        add_plan_arguments(feasibility)
+    about = "Make a map of a known ring: what a map needs is then there and cached, and is named."
+    warm = commands.add_parser("warm-up", help="see that all is there, so that the first map is quick", description=about)
+    _add_common(warm, default=argparse.SUPPRESS)
+    warm.add_argument("--quiet", action="store_true", help="say nothing unless something is wrong or slow")
+    return parser
+
+
+def _add_common(parser: argparse.ArgumentParser, *, default: str | None) -> None:
+    """Add the options of every command; on a command they default to nothing, so as not to undo those given before it."""
+    parser.add_argument("--version", action="version", version=f"%(prog)s {version('biobot-gateway')}")
+    parser.add_argument("--config", type=Path, metavar="FILE.toml", default=default, help="read the configuration from this file")
+    check = argparse.SUPPRESS if default is not None else False
+    parser.add_argument("--check-config", action="store_true", default=check, help="only check the configuration, then exit")
+
+
+def _add_run_arguments(run: argparse.ArgumentParser) -> None:
+    run.add_argument("encounters", type=Path, nargs="?", help="CSV with the columns t_start_s,t_end_s,id1,id2; - is standard input")
+    run.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
+    run.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
+    run.add_argument("--from-s", type=float, metavar="T", help="leave out what was over at this time of the file")
+    run.add_argument("--until-s", type=float, metavar="T", help="leave out what had not begun at this time of the file")
+    run.add_argument("--window-s", type=float, metavar="S", help="leave out what was over S before the newest encounter's end")
+    run.add_argument("--speed-mps", type=float, metavar="V", help="walking speed [m/s]: lengths are then metres, else seconds")
+    run.add_argument("--method", choices=[str(method) for method in Method], help="the whole recipe (default: default)")
+    run.add_argument(
+        "--metric", choices=[str(metric) for metric in MetricKind], help="how encounters are compared (default: by the method)"
+    )
+    run.add_argument("--json", type=Path, metavar="FILE", help="write the map as JSON; - is standard output, then without the summary")
+    run.add_argument("--svg", type=Path, metavar="FILE", help="write a picture; - as above")
+    run.add_argument("--png", type=Path, metavar="FILE", help="write a picture; - as above")
+
+
+def _join_negative_numbers(given: Sequence[str]) -> list[str]:
+    """Write ``--flag -1e2`` as ``--flag=-1e2``: argparse takes a negative number with an exponent for a flag of its own."""
+    joined: list[str] = []
+    for part in given:
+        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and _NEGATIVE.fullmatch(part):
+            joined[-1] += f"={part}"
+        else:
+            joined.append(part)
+    return joined
+
+
+def _recipe_flags(args: argparse.Namespace) -> dict[str, object]:
+    return {f"recipe.{name}": getattr(args, name, None) for name in ("method", "metric", "speed_mps")}
+
+
+def _ids(text: str) -> tuple[int, ...]:
+    parts = [part.strip() for part in text.split(",")]
+    wrong = [part for part in parts if not (part.isascii() and part.isdigit() and len(part) <= len(str(_MAX_ID)) and int(part) <= _MAX_ID)]
+    if wrong:
+        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is no id; wanted whole numbers from 0 to 2^63-1, as 3,17,20")
+    return tuple(int(part) for part in parts)
+
+
+def _complain(lines: Sequence[str], *, status: int) -> int:
+    for line in lines:
+        print(f"biobot-mapper: error: {line}", file=sys.stderr)
+    return status
