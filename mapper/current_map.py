@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil
 from typing import Final
 
 from mapper.changes import Changes, Topic
@@ -21,8 +22,12 @@ from mapper.worker import Worker
 _log = EventLog(__name__)
 
 _MAX_BACKOFF_S: Final = 30.0
+# A map is told to be slow after this, if it also takes so many times as long as the last.
+_SLOW_S: Final = 30.0
+_SLOW_TIMES: Final = 10.0
 # A map is some hundred kilobytes: flash memory wears.
-_KEEP_PERIOD_S: Final = 30.0
+KEEP_PERIOD_S: Final = 30.0
+"""A finished map is kept in the store no sooner than this after the one before [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +97,10 @@ class CurrentMap:
         self.worker = Worker(name="map worker")
         # Up to which change the worker has been sent everything; 0: nothing.
         self._n_sent = 0
-        self._is_computing = False
+        # On the monotonic clock; None while no map is computed.
+        self._computing_since: float | None = None
+        # Maps made after the kept one was kept had numbers that may not come again.
+        self._n_skipped = 0
         self._unkept = asyncio.Event()
         self._artist = Worker(name="picture worker")
         self._pictures: dict[ImageFormat, tuple[int, bytes]] = {}
@@ -114,7 +122,7 @@ class CurrentMap:
             n_known=progress.n_encounters,
             n_waiting=n_waiting,
             behind_s=behind_s,
-            is_computing=self._is_computing,
+            is_computing=self._computing_since is not None,
             waiting=str(self.waiting_for) if latest is None else waiting,
         )
 
@@ -122,12 +130,28 @@ class CurrentMap:
         """Return how many records wait for a map after this one, and for how long at most [s], right now, as in `MapStatus`."""
         counted = self._standstill if self._standstill is not None and snapshot is self._latest else snapshot
         n_waiting = self._records.progress.change - counted.change
-        return n_waiting, max(0.0, (self._clock() - counted.begun_wall_ns) / 1e9) if n_waiting else 0.0
+        refused_since_ns = self._records.refused_since_ns
+        since_ns = [counted.begun_wall_ns] if n_waiting else []
+        # What the store could not take in cannot be counted, but it waits.
+        since_ns += [refused_since_ns] if refused_since_ns is not None else []
+        return n_waiting, max(0.0, (self._clock() - min(since_ns)) / 1e9) if since_ns else 0.0
 
     @property
     def faults(self) -> tuple[str, ...]:
         """What is wrong with the making, keeping and dating of maps."""
-        return tuple(fault for fault in (self.last_fault, self.keeping_fault, self.dating_fault) if fault is not None)
+        return tuple(fault for fault in (self.last_fault, self.keeping_fault, self.dating_fault, self._slowness()) if fault is not None)
+
+    def _slowness(self) -> str | None:
+        """Say that a map takes far longer than the one before; a process that is stopped gives no other sign."""
+        if self._computing_since is None:
+            return None
+        taken_s = time.monotonic() - self._computing_since
+        usual_s = self._latest.finished.computing_s if self._latest is not None else 0.0
+        if taken_s < max(_SLOW_S, _SLOW_TIMES * usual_s):
+            return None
+        return (
+            f"the map has been computed for {taken_s:.0f} s, the last one took {usual_s:.1f} s; see whether process {self.worker.pid} runs"
+        )
 
     def require(self) -> MapSnapshot:
         """Return the last finished map.
@@ -172,6 +196,7 @@ class CurrentMap:
             _log.warning("map.kept_unreadable", change=kept.change)
             return
         self._latest = MapSnapshot.of(finished, change=kept.change)
+        self._n_skipped = ceil(KEEP_PERIOD_S / self._min_interval_s)
         self._note_dates(finished.documents.n_ahead)
         self._changes.bump(Topic.MAP)
         _log.info("map.restored", version=finished.version, encounters=finished.documents.n_encounters)
@@ -211,13 +236,13 @@ class CurrentMap:
         begun, begun_wall_ns = time.monotonic(), self._clock()
         if self.waiting_for.minimum > 0:
             self.waiting_for = NoMapYetError(n_encounters=self._records.progress.n_encounters, minimum=self.waiting_for.minimum)
-        self._is_computing = True
+        self._computing_since = begun
         try:
             outcome, change = await self._compute(after=self._n_sent)
             if isinstance(outcome, OutOfStep):
                 outcome, change = await self._compute(after=0)
         finally:
-            self._is_computing = False
+            self._computing_since = None
         if isinstance(outcome, TooFew):
             self.waiting_for = NoMapYetError(n_encounters=outcome.n_encounters, minimum=outcome.minimum, where=outcome.where)
             self._note_dates(outcome.n_ahead)
@@ -241,13 +266,14 @@ class CurrentMap:
 
     def _publish(self, documents: MapDocuments, *, change: int, begun_wall_ns: int, computing_s: float) -> None:
         finished = FinishedMap(
-            version=self._latest.version + 1 if self._latest else 1,
+            version=self._latest.version + 1 + self._n_skipped if self._latest else 1,
             begun_wall_ns=begun_wall_ns,
             computed_wall_ns=self._clock(),
             computing_s=round(computing_s, 4),
             documents=documents,
         )
         self._latest = MapSnapshot.of(finished, change=change)
+        self._n_skipped = 0
         if self._standstill is not None:
             _log.info("map.goes_on", after=self._standstill.reason)
             self._standstill = None
@@ -276,7 +302,7 @@ class CurrentMap:
         while True:
             await self._unkept.wait()
             await self._keep()
-            await asyncio.sleep(_KEEP_PERIOD_S)
+            await asyncio.sleep(KEEP_PERIOD_S)
 
     async def _keep(self) -> None:
         """Keep the last finished map in the store, unless it is there."""

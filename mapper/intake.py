@@ -105,11 +105,13 @@ class Intake:
             self.counters["store_faults"] += 1
             if self.store_fault is None:
                 _log.error("store.fault", reason=str(error))
+                self._records.refused_since_ns = time.time_ns()
             self.store_fault = str(error)
             return Applied()
         if self.store_fault is not None:
             _log.warning("store.fault_over", faults=self.counters["store_faults"])
             self.store_fault = None
+            self._records.refused_since_ns = None
         self.counters.update(new=applied.n_new, revised=applied.n_revised, repeated=applied.n_repeated, unfit=applied.n_unfit)
         if applied.has_changed:
             self._tell(batches)

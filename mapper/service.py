@@ -120,7 +120,8 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
             return {**intake.counters, **{f"bus_{name}": number for name, number in bus.counters.items()}, "ignored": fleet.n_ignored}
 
         def faults() -> list[str]:
-            return [*([] if intake.store_fault is None else [intake.store_fault]), *current_map.faults]
+            found = [*([] if intake.store_fault is None else [intake.store_fault]), *current_map.faults]
+            return list(dict.fromkeys(found))
 
         services = Services(
             records=records,

@@ -18,6 +18,8 @@ class StoreThread:
     def __init__(self, store: Store, executor: ThreadPoolExecutor) -> None:
         self._store = store
         self._executor = executor
+        self.refused_since_ns: int | None = None
+        """Since when records that came could not be taken in [ns since 1970]; None while they can."""
 
     @classmethod
     async def open(cls, path: Path | None) -> Self:

@@ -201,16 +201,16 @@ def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream
     @router.get("/healthz", tags=["watch"], responses=_answers(HealthView))
     async def get_health() -> Response:
         """Say that the process answers, and what it has counted."""
-        status = services.current_map.status
+        status, faults = services.current_map.status, services.faults()
         return json_response(
             {
-                "status": "ok",
+                "status": "degraded" if faults else "ok",
                 "wall_ns": time.time_ns(),
                 "n_encounters": status.n_known,
                 "map_version": status.snapshot.version if status.snapshot else None,
                 "waiting": status.waiting,
                 "counters": services.counters(),
-                "faults": services.faults(),
+                "faults": faults,
                 "engines": {"kernels": services.engines.kernels, "persistence": services.engines.persistence},
             }
         )

@@ -279,7 +279,7 @@ class EnginesView(_Answer):
 class HealthView(_Answer):
     """The process answers; counters since its start."""
 
-    status: Literal["ok"]
+    status: Literal["ok", "degraded"] = Field(description="degraded: it answers, but there are faults")
     wall_ns: int
     n_encounters: int
     map_version: int | None

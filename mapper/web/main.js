@@ -97,10 +97,16 @@ function showWaiting(health) {
   element("waiting-text").textContent = health.waiting ?? "The map begins when biobots have met.";
 }
 
+function limits() {
+  if (!map) return [];
+  const window = map.window_s === null ? [] : [`a map of the last ${count(map.window_s)} s`];
+  return map.parameters.method === "default" ? window : [...window, `by the method "${map.parameters.method}"`];
+}
+
 function showNotices(health) {
   // Before the first map, what it waits for stands in its place.
   const standstill = health.map_version !== null && health.waiting ? [health.waiting] : [];
-  element("notices").textContent = [...health.faults, ...standstill, ...(map?.warnings ?? [])].join(" · ");
+  element("notices").textContent = [...health.faults, ...standstill, ...limits(), ...(map?.warnings ?? [])].join(" · ");
 }
 
 function showLink() {
