@@ -53,6 +53,7 @@ const refreshMap = paced(async () => {
   element("save").hidden = false;
   mapView.show(map);
   diagramView.show(diagram, map.holes);
+  showNotices(health);
   ["component", "hole"].forEach((word, dimension) => {
     const number = map.betti_numbers[dimension];
     element(`${word}s`).textContent = count(number);

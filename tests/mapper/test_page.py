@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
@@ -218,3 +219,18 @@ def test_the_page_says_when_the_mapper_is_gone(browser: Browser, tmp_path: Path)
         expect(page.locator("#link")).to_contain_text("no gateway yet")
     expect(page.locator("#link")).to_contain_text("mapper does not answer", timeout=WAIT_MS)
     page.close()
+
+
+def test_a_page_says_that_its_map_is_of_a_window_and_by_another_method(browser: Browser, tmp_path: Path) -> None:
+    port = free_port()
+    arguments = ["--window-s", "40", "--method", "paper"]
+    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port, arguments=arguments) as (url, _process):
+        gateway.journal_records(ring_records())
+
+        def has_map() -> bool:
+            gateway.publish_status()
+            return bool(httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
+
+        until(has_map)
+        with opened(browser, url) as watched:
+            expect(watched.page.locator("#notices")).to_contain_text('a map of the last 40 s · by the method "paper"')
