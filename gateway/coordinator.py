@@ -23,7 +23,8 @@ from firmware_protocol.envelope import (
     encode_envelope,
 )
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.framing.cobs import CobsDecoder, FrameFault, encode_frame
+from firmware_protocol.framing.cobs import CobsDecoder, encode_frame
+from firmware_protocol.framing.interface import FrameFault
 from firmware_protocol.link import (
     Link,
     LinkConfig,

@@ -102,7 +102,11 @@ class Service:
         self.t0_wall_ns = clock.wall_ns()
         self.boot = BootId(self.t0_wall_ns // NS_PER_S % (1 << 16) if config.boot is None else config.boot)
         self._world = cast.world
-        self._swarm = Swarm(self._world, config=_swarm_config(config, cast, boot=self.boot), observe=self._observe)
+        self._swarm = Swarm(
+            self._world,
+            config=_swarm_config(config, cast, boot=self.boot, dialects=tuple(line.dialect for line in lines)),
+            observe=self._observe,
+        )
         self._carriers: tuple[Carrier, ...] = ()
         self._wake = asyncio.Event()
         self._n_signals = 0
@@ -281,7 +285,7 @@ class Service:
         return dict(total)
 
 
-def _swarm_config(config: ServeConfig | ReplayConfig, cast: Cast, *, boot: BootId) -> SwarmConfig:
+def _swarm_config(config: ServeConfig | ReplayConfig, cast: Cast, *, boot: BootId, dialects: tuple[str, ...]) -> SwarmConfig:
     sensing = cast.sensing
     return SwarmConfig(
         seed=cast.seed,
@@ -305,6 +309,7 @@ def _swarm_config(config: ServeConfig | ReplayConfig, cast: Cast, *, boot: BootI
         metres_per_unit=cast.metres_per_unit,
         speed_factor=cast.speed_factor,
         keeps_history=config.out is not None,
+        dialects=dialects,
     )
 
 

@@ -4,7 +4,6 @@ The world may lag behind: it is advanced in bounded steps, so that a machine tha
 What the insects then do is told late but dated right. Backpacks, air and coordinators always keep to the caller's time.
 """
 
-import dataclasses
 import heapq
 import math
 from collections.abc import Callable, Sequence
@@ -14,7 +13,8 @@ from firmware_protocol.messages import EncounterBatch, WireCause, WireMode
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
 from simulator.backpacks.backpack import MAX_NODE, Acknowledged, Backpack, Effect, Transmission
 from simulator.backpacks.stimulator import Actuation
-from simulator.coordinator import Coordinator, CoordinatorConfig
+from simulator.dongles.choice import DEFAULT_DIALECT, make_dongle
+from simulator.dongles.interface import Dongle
 from simulator.errors import ParameterError
 from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.habitat import Habitat
@@ -56,7 +56,8 @@ class Swarm:
         if world.ids[-1] > MAX_NODE:
             raise ParameterError(name="biobots", got=world.ids[-1], wanted=f"ids up to {MAX_NODE}: a node number has 16 bits")
         coverage = config.coverage or CoverageConfig(places=(_middle(world),))
-        self.coordinators = tuple(_make_coordinator(index) for index in range(len(coverage.places)))
+        dialects = config.dialects or (DEFAULT_DIALECT,) * len(coverage.places)
+        self.coordinators = tuple(make_dongle(dialect, index=index) for index, dialect in enumerate(dialects))
         self.reports = ReportLog(keeps_rows=config.keeps_history)
         self._steering = Steering(
             world,
@@ -99,10 +100,10 @@ class Swarm:
         for node in self._nodes:
             self._plan(node)
         for coordinator in self.coordinators:
-            coordinator.start()
+            coordinator.start(now_ns=0)
 
     @property
-    def coordinator(self) -> Coordinator:
+    def coordinator(self) -> Dongle:
         """The first coordinator."""
         return self.coordinators[0]
 
@@ -290,8 +291,8 @@ class Swarm:
     def _deliver(self, now_ns: int) -> None:
         for arrival in self._air.take_arrived(now_ns):
             match arrival:
-                case UplinkArrival(coordinator=coordinator, received=received):
-                    self.coordinators[coordinator].take_from_radio(received, now_ns=now_ns)
+                case UplinkArrival(coordinator=coordinator, node=node, received=received):
+                    self.coordinators[coordinator].take_from_radio(received, eui64=_EUI64_BASE + node, now_ns=now_ns)
                 case DownlinkArrival(node=node) if node in self.silenced:
                     pass
                 case DownlinkArrival(node=node, payload=payload, is_broadcast=is_broadcast):
@@ -349,6 +350,7 @@ class Swarm:
                 self._air.leave(node)
                 continue
             self._air.join(node, choice)
+            self.coordinators[choice].node_joined(self._air.address_of(node), eui64=_EUI64_BASE + node, now_ns=now_ns)
             if now_ns > 0:
                 self.n_rejoined += 1
                 self._backpacks[node].rejoin(now_ms=self._clocks[node].read_ms(now_ns))
@@ -388,10 +390,3 @@ class Swarm:
 
 def _middle(world: Habitat) -> Place:
     return (0.0, 0.0) if world.arena is None else spread_places(world.arena.polygon.bounds, 1)[0]
-
-
-def _make_coordinator(index: int) -> Coordinator:
-    plain = CoordinatorConfig()
-    if index == 0:
-        return Coordinator(config=plain)
-    return Coordinator(config=dataclasses.replace(plain, eui64=plain.eui64 + 0x10000 + index, pan_id=plain.pan_id + index))

@@ -38,6 +38,8 @@ class SwarmConfig:
         False: what was done to insects and reported of them is counted only, for runs without end of which nobody asks.
     sensing
         How encounters are formed from beacons; None: they are exact.
+    dialects
+        What each coordinator speaks; empty: all the native dialect.
 
     References
     ----------
@@ -57,6 +59,7 @@ class SwarmConfig:
     speed_factor: float = 1.0
     keeps_history: bool = True
     sensing: SensingConfig | None = None
+    dialects: tuple[str, ...] = ()
 
 
 def draw_clock(node: NodeId, config: SwarmConfig) -> BackpackClock:

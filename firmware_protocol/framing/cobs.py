@@ -5,10 +5,10 @@ frame nothing. Pure: bytes go in, frames and faults come out; the buffer is boun
 """
 
 from dataclasses import dataclass, field
-from enum import Enum
 
 from firmware_protocol.crc import append_crc, strip_crc
 from firmware_protocol.errors import EncodeError
+from firmware_protocol.framing.interface import FrameFault
 
 MAX_BODY_SIZE = 250
 """Longest frame body [B] before CRC and stuffing (WIRE_FORMAT.md §2)."""
@@ -18,15 +18,6 @@ MAX_ENCODED_SIZE = MAX_BODY_SIZE + 2 + 1
 
 _DELIMITER = 0
 _MAX_BLOCK = 254
-
-
-class FrameFault(Enum):
-    """What was wrong with bytes that did not make a frame."""
-
-    BAD_CRC = "bad_crc"
-    BAD_STUFFING = "bad_stuffing"
-    TOO_SHORT = "too_short"
-    TOO_LONG = "too_long"
 
 
 def encode_frame(body: bytes) -> bytes:

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
-from simulator.coordinator import Coordinator
+from simulator.dongles.interface import Dongle
 from simulator.lines.line import LineSpec, SerialEnd
 from simulator.lines.serial_port import SerialPortEnd
 from simulator.lines.tcp_port import TcpEnd
@@ -26,7 +26,7 @@ class Carrier:
         Takes what comes from the gateway.
     """
 
-    def __init__(self, coordinator: Coordinator, *, line: SerialEnd, feed: Callable[[bytes], None]) -> None:
+    def __init__(self, coordinator: Dongle, *, line: SerialEnd, feed: Callable[[bytes], None]) -> None:
         self._coordinator = coordinator
         self._line = line
         self._feed = feed

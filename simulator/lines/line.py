@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from simulator.dongles.choice import DEFAULT_DIALECT, DIALECTS
 from simulator.errors import ParameterError
 
 _CHUNK = 4096
@@ -45,10 +46,11 @@ class LineSpec:
     target: str
     port: int = 0
     baud: int | None = None
+    dialect: str = DEFAULT_DIALECT
 
 
 def parse_line(text: str) -> LineSpec:
-    """Read ``pty:PATH``, ``tcp:HOST:PORT`` or ``serial:DEVICE``, each with ``?baud=N`` if wanted.
+    """Read ``pty:PATH``, ``tcp:HOST:PORT`` or ``serial:DEVICE``, each with ``?baud=N&dialect=NAME`` if wanted.
 
     Raises
     ------
@@ -60,19 +62,28 @@ def parse_line(text: str) -> LineSpec:
     target, question, query = rest.partition("?")
     if not colon or not target:
         raise wrong
-    baud: int | None = None
-    if question:
-        key, _, value = query.partition("=")
-        if key != "baud" or not value.isascii() or not value.isdigit() or not 50 <= int(value) <= 12_000_000:
-            raise ParameterError(name="link", got=text, wanted="?baud= with 50 to 12000000 and nothing else after the line's name")
-        baud = int(value)
+    options = _parse_options(text, query) if question else {}
+    baud = int(options["baud"]) if "baud" in options else None
+    dialect = options.get("dialect", DEFAULT_DIALECT)
     if kind in {"pty", "serial"}:
-        return LineSpec(kind=kind, target=target, baud=baud)
+        return LineSpec(kind=kind, target=target, baud=baud, dialect=dialect)
     if kind == "tcp":
         host, _, port = target.rpartition(":")
         if host and port.isascii() and port.isdigit() and int(port) <= 0xFFFF:
-            return LineSpec(kind=kind, target=host.strip("[]"), port=int(port), baud=baud)
+            return LineSpec(kind=kind, target=host.strip("[]"), port=int(port), baud=baud, dialect=dialect)
     raise wrong
+
+
+def _parse_options(text: str, query: str) -> dict[str, str]:
+    wanted = f"?baud= with 50 to 12000000, dialect= with one of {', '.join(DIALECTS)}, joined by &, and nothing else after the line's name"
+    options: dict[str, str] = {}
+    for option in query.split("&"):
+        key, _, value = option.partition("=")
+        is_baud = key == "baud" and value.isascii() and value.isdigit() and 50 <= int(value) <= 12_000_000
+        if key in options or not (is_baud or (key == "dialect" and value in DIALECTS)):
+            raise ParameterError(name="link", got=text, wanted=wanted)
+        options[key] = value
+    return options
 
 
 class Pacer:

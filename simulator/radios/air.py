@@ -24,6 +24,7 @@ class UplinkArrival:
     """A payload reaches a coordinator."""
 
     coordinator: int
+    node: NodeId
     received: RadioReceived
 
 
@@ -102,7 +103,7 @@ class Air:
             return
         flight = self._radio.fly_up(node)
         if flight.is_delivered:
-            self._launch(UplinkArrival(coordinator=home, received=received), at_ns=now_ns + flight.delay_ns)
+            self._launch(UplinkArrival(coordinator=home, node=node, received=received), at_ns=now_ns + flight.delay_ns)
 
     def send_down(self, request: RadioSend, *, coordinator: int = 0, now_ns: int) -> None:
         """Send a request to the node addressed, or to all of a coordinator; it will learn what became of it."""

@@ -14,11 +14,11 @@ from firmware_protocol.framing.cobs import (
     MAX_BODY_SIZE,
     MAX_ENCODED_SIZE,
     CobsDecoder,
-    FrameFault,
     cobs_decode,
     cobs_encode,
     encode_frame,
 )
+from firmware_protocol.framing.interface import FrameFault
 from tests.strategies import frame_bodies
 
 GOLDEN = [  # the examples of the COBS paper's encoding table, worked by hand

@@ -4,7 +4,8 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 
 from firmware_protocol.envelope import CoordinatorHello, RadioConfirm, RadioReceived, RadioSend, decode_envelope, encode_envelope
-from firmware_protocol.framing.cobs import CobsDecoder, FrameFault, encode_frame
+from firmware_protocol.framing.cobs import CobsDecoder, encode_frame
+from firmware_protocol.framing.interface import FrameFault
 from firmware_protocol.link import Link, LinkLost, LinkState, PayloadReceived, Role
 from firmware_protocol.message_codec import decode_uplink, encode_downlink
 from firmware_protocol.messages import (

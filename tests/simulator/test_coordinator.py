@@ -9,7 +9,7 @@ from firmware_protocol.messages import MAX_RADIO_PAYLOAD, Acknowledge, Hello, He
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
 from simulator import chance, draws
 from simulator.clock import DriftingClock, SettableClock
-from simulator.coordinator import Coordinator
+from simulator.dongles.native import NativeDongle
 from simulator.radios.air import Air
 from simulator.radios.radio import Radio, RadioConfig, lqi
 from tests.simulator.base_station import BaseStation
@@ -30,7 +30,7 @@ def sequences(base: BaseStation) -> list[int]:
 class Cable:
     """A line between base station and coordinator that spoils the bytes whose turn is in ``spoiled``."""
 
-    def __init__(self, base: BaseStation, coordinator: Coordinator, *, spoiled: dict[int, int] | None = None) -> None:
+    def __init__(self, base: BaseStation, coordinator: NativeDongle, *, spoiled: dict[int, int] | None = None) -> None:
         self.base, self.coordinator, self.now_ns = base, coordinator, 0
         self._spoiled = spoiled or {}
         self._n_carried = 0
@@ -55,11 +55,11 @@ class Cable:
 
 @given(spoiled=st.dictionaries(st.integers(0, 6_000), st.integers(1, 255), max_size=150), n=st.integers(1, 60))
 def test_noise_on_the_line_costs_no_payload_and_doubles_none(spoiled: dict[int, int], n: int) -> None:
-    base, coordinator = BaseStation(), Coordinator()
-    coordinator.start()
+    base, coordinator = BaseStation(), NativeDongle()
+    coordinator.start(now_ns=0)
     cable = Cable(base, coordinator, spoiled=spoiled)
     for sequence in range(n):
-        assert coordinator.take_from_radio(uplink(sequence), now_ns=cable.now_ns)
+        assert coordinator.take_from_radio(uplink(sequence), eui64=1, now_ns=cable.now_ns)
         cable.run(20)
     cable.run(60_000, step_ms=50)
     assert sequences(base) == list(range(n))
@@ -67,20 +67,20 @@ def test_noise_on_the_line_costs_no_payload_and_doubles_none(spoiled: dict[int, 
 
 
 def test_while_no_base_station_is_there_memory_is_bounded_and_what_was_taken_arrives_later_in_order() -> None:
-    base, coordinator = BaseStation(), Coordinator()
-    coordinator.start()
-    taken = [sequence for sequence in range(2_000) if coordinator.take_from_radio(uplink(sequence), now_ns=0)]
+    base, coordinator = BaseStation(), NativeDongle()
+    coordinator.start(now_ns=0)
+    taken = [sequence for sequence in range(2_000) if coordinator.take_from_radio(uplink(sequence), eui64=1, now_ns=0)]
     assert taken == list(range(len(taken)))
     assert 100 < len(taken) < 512
     assert coordinator.faults["uplink_full"] == 2_000 - len(taken)
     cable = Cable(base, coordinator)
     cable.run(5_000)
     assert sequences(base) == taken
-    assert coordinator.take_from_radio(uplink(len(taken)), now_ns=cable.now_ns)
+    assert coordinator.take_from_radio(uplink(len(taken)), eui64=1, now_ns=cable.now_ns)
 
 
 def test_every_request_reaches_the_radio_once_and_is_confirmed_with_its_handle() -> None:
-    base, coordinator = BaseStation(), Coordinator()
+    base, coordinator = BaseStation(), NativeDongle()
     cable = Cable(base, coordinator)
     cable.run(100)
     handles = []
@@ -97,7 +97,7 @@ def test_every_request_reaches_the_radio_once_and_is_confirmed_with_its_handle()
 
 
 def test_a_request_too_long_or_too_many_is_answered_and_not_sent() -> None:
-    base, coordinator = BaseStation(), Coordinator()
+    base, coordinator = BaseStation(), NativeDongle()
     cable = Cable(base, coordinator)
     cable.run(100)
     long_request = RadioSend(handle=1, destination=ShortAddress(9), payload=bytes(MAX_RADIO_PAYLOAD + 1))
@@ -113,7 +113,7 @@ def test_a_request_too_long_or_too_many_is_answered_and_not_sent() -> None:
 
 
 def test_the_coordinator_says_who_it_is_when_asked() -> None:
-    base, coordinator = BaseStation(), Coordinator()
+    base, coordinator = BaseStation(), NativeDongle()
     cable = Cable(base, coordinator)
     cable.run(100)
     known = len(base.hellos)
@@ -125,8 +125,8 @@ def test_the_coordinator_says_who_it_is_when_asked() -> None:
 
 @given(chunks=st.lists(st.binary(max_size=300), max_size=20))
 def test_no_bytes_from_the_line_raise(chunks: list[bytes]) -> None:
-    coordinator = Coordinator()
-    coordinator.start()
+    coordinator = NativeDongle()
+    coordinator.start(now_ns=0)
     for chunk in chunks:
         coordinator.feed(chunk, now_ns=0)
     coordinator.take_bytes()

@@ -1,4 +1,4 @@
-"""The virtual coordinator dongle: serial bytes on one side, radio payloads on the other. No I/O, no clock.
+"""A virtual coordinator dongle of the native dialect (WIRE_FORMAT.md §2 to §4). No I/O, no clock.
 
 Its memory is bounded. Uplink payloads wait in the link's queue until the base station confirms them; when that is full, while
 no base station is there or its disk stalls, the coordinator takes no more, and the backpacks keep what they have.
@@ -20,9 +20,11 @@ from firmware_protocol.envelope import (
     encode_envelope,
 )
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.framing.cobs import CobsDecoder, FrameFault, encode_frame
+from firmware_protocol.framing.cobs import CobsDecoder, encode_frame
+from firmware_protocol.framing.interface import FrameFault
 from firmware_protocol.link import Link, LinkConfig, LinkEvent, LinkOpened, LinkState, PayloadReceived, Role
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD
+from firmware_protocol.units import ShortAddress
 
 _RADIO_QUEUE = 64
 _RESERVE = _RADIO_QUEUE + 16
@@ -31,7 +33,7 @@ that the base station may have in its window."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CoordinatorConfig:
+class NativeDongleConfig:
     """What the coordinator says of itself; the EUI-64 begins with Texas Instruments' number."""
 
     firmware: int = 0x0001
@@ -42,10 +44,10 @@ class CoordinatorConfig:
 
 
 @dataclass(slots=True, kw_only=True)
-class Coordinator:
+class NativeDongle:
     """See the module. ``requests`` are what the base station wants sent; each must be answered with ``confirm``."""
 
-    config: CoordinatorConfig = field(default_factory=CoordinatorConfig)
+    config: NativeDongleConfig = field(default_factory=NativeDongleConfig)
     requests: deque[RadioSend] = field(default_factory=deque)
     faults: Counter[str] = field(default_factory=Counter)
     """What came in and was of no use, and what had no room, by name."""
@@ -62,7 +64,7 @@ class Coordinator:
         """A base station is connected."""
         return self._link.state is LinkState.OPEN
 
-    def start(self) -> None:
+    def start(self, *, now_ns: int) -> None:  # noqa: ARG002  # the interface's
         """Switch the coordinator on: it asks for a session."""
         self._link.announce_restart()
 
@@ -86,7 +88,7 @@ class Coordinator:
         """Repeat what was not answered, or give the session up."""
         self._handle(self._link.handle_deadline(now_ns=now_ns), now_ns=now_ns)
 
-    def take_from_radio(self, received: RadioReceived, *, now_ns: int) -> bool:
+    def take_from_radio(self, received: RadioReceived, *, eui64: int, now_ns: int) -> bool:  # noqa: ARG002  # the interface's
         """Take a payload from the air; return False, and take nothing, where there is no room."""
         if self._link.n_free <= _RESERVE:
             self.faults["uplink_full"] += 1
@@ -98,6 +100,9 @@ class Coordinator:
         """Tell the base station what became of a request; the request leaves the radio's queue."""
         self._n_in_radio -= 1
         self._send(RadioConfirm(handle=handle, status=status), now_ns=now_ns)
+
+    def node_joined(self, address: ShortAddress, *, eui64: int, now_ns: int) -> None:
+        """Do nothing: the native dialect of this version does not tell."""
 
     def _handle(self, events: list[LinkEvent], *, now_ns: int) -> None:
         for event in events:
