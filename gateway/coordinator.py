@@ -1,8 +1,8 @@
-"""Drives the link to one coordinator dongle: opens its port, keeps the session, and tries again for ever.
+"""Drives the host of one coordinator dongle: opens its port, keeps the dongle open, and tries again for ever.
 
 One task a radio, isolated from the others. Upward, every radio payload is handed to ``on_radio`` and confirmed to the dongle
-in order, each when the future that ``on_radio`` returned is done. Downward, ``send`` gives each payload a handle and a future
-with what became of it; nothing is ever sent a second time from here.
+in order, each when the future that ``on_radio`` returned is done. Downward, ``send`` gives each payload a future with what
+became of it; nothing is ever sent a second time from here.
 """
 
 import asyncio
@@ -12,31 +12,20 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from firmware_protocol.envelope import (
-    CoordinatorHello,
-    EnvelopeFault,
-    IdentifyRequest,
-    RadioConfirm,
-    RadioReceived,
-    RadioSend,
-    decode_envelope,
-    encode_envelope,
+from firmware_protocol.dialects.interface import (
+    CoordinatorIdentified,
+    CoordinatorSaid,
+    Host,
+    HostEvent,
+    HostLost,
+    HostOpened,
+    LostWhy,
+    NodeSeen,
+    PayloadHeard,
+    SendSettled,
 )
+from firmware_protocol.envelope import CoordinatorHello
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.framing.cobs import CobsDecoder, encode_frame
-from firmware_protocol.framing.interface import FrameFault
-from firmware_protocol.link import (
-    Link,
-    LinkConfig,
-    LinkEvent,
-    LinkLost,
-    LinkOpened,
-    LinkState,
-    LostReason,
-    PayloadConfirmed,
-    PayloadReceived,
-    Role,
-)
 from firmware_protocol.units import NS_PER_S, ShortAddress
 from gateway.config import LinkTable
 from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError
@@ -48,11 +37,10 @@ from gateway.transports.interface import Transport
 
 _log = EventLog(__name__)
 
-_WINDOW = 4
-"""DATA frames in flight towards the dongle: few, so that an urgent one does not wait behind many."""
+_MAX_SENDINGS = 256
+"""Payloads whose fate is not known; more are refused."""
 
-_MAX_HANDLES = 256
-"""Payloads whose RadioConfirm has not come; more are refused."""
+_SAID = {0: _log.debug, 1: _log.info, 2: _log.warning, 3: _log.error}
 
 
 @dataclass(slots=True)
@@ -68,7 +56,6 @@ class _Sending:
     """A payload on its way down."""
 
     future: asyncio.Future[RadioOutcome]
-    ticket: int
     deadline_ns: int
 
 
@@ -79,6 +66,8 @@ class Coordinator:
     ----------
     radio
         Its name, in records and logs.
+    make_host
+        Makes the base station's end of the dongle's dialect, once for each time that the port is opened.
     open_port
         Opens the transport; raises ``TransportError``.
     on_radio
@@ -93,6 +82,7 @@ class Coordinator:
         self,
         *,
         radio: str,
+        make_host: Callable[[], Host],
         open_port: Callable[[], Awaitable[Transport]],
         on_radio: Callable[[RadioMessage], "asyncio.Future[None] | None"],
         config: LinkTable,
@@ -102,20 +92,19 @@ class Coordinator:
     ) -> None:
         self.radio = radio
         self.hello: CoordinatorHello | None = None
+        self._make_host = make_host
         self._open_port = open_port
         self._on_radio = on_radio
         self._config = config
         self._health = health
         self._on_state = on_state
-        self._link = Link(role=Role.INITIATOR, config=LinkConfig(window=_WINDOW))
-        self._decoder = CobsDecoder()
+        self._host = make_host()
+        self._is_held = False
         self._wake = asyncio.Event()
         self._first_session = first_session
         self._n_sessions = 0
         self._receipts: deque[_Receipt] = deque()
         self._sendings: dict[int, _Sending] = {}
-        # A RadioConfirm that the dongle kept from before a restart must not settle another payload.
-        self._next_handle = random.randrange(1 << 16)
         self._opening_until_ns = 0
         self._has_opened = False
         self._down_since_ns: int | None = None
@@ -125,7 +114,7 @@ class Coordinator:
     @property
     def is_up(self) -> bool:
         """Whether payloads can be sent now."""
-        return self._link.state is LinkState.OPEN
+        return self._is_held and self._host.is_open
 
     @property
     def n_pending(self) -> int:
@@ -142,18 +131,15 @@ class Coordinator:
         """
         if not self.is_up:
             raise RadioUnavailableError(radio=self.radio, reason="it is not connected")
-        if len(self._sendings) >= _MAX_HANDLES and not is_urgent:
+        if len(self._sendings) >= _MAX_SENDINGS and not is_urgent:
             raise RadioUnavailableError(radio=self.radio, reason=f"{len(self._sendings)} payloads wait for it")
-        handle = self._take_handle()
-        body = encode_envelope(RadioSend(handle=handle, destination=destination, payload=payload))
         now_ns = time.monotonic_ns()
         try:
-            ticket = self._link.send(body, now_ns=now_ns, is_urgent=is_urgent)
+            ticket = self._host.send(destination=destination, payload=payload, now_ns=now_ns, is_urgent=is_urgent)
         except LinkFullError as error:
             raise RadioUnavailableError(radio=self.radio, reason=str(error)) from error
         future: asyncio.Future[RadioOutcome] = asyncio.get_running_loop().create_future()
-        deadline_ns = now_ns + int(self._config.radio_timeout_s * NS_PER_S)
-        self._sendings[handle] = _Sending(future, ticket, deadline_ns)
+        self._sendings[ticket] = _Sending(future, now_ns + int(self._config.radio_timeout_s * NS_PER_S))
         self._wake.set()
         return future
 
@@ -177,9 +163,10 @@ class Coordinator:
             backoff_s = min(2 * backoff_s, self._config.max_backoff_s)
 
     async def _hold(self, transport: Transport) -> None:
-        """Keep sessions on an open port; ends with the ``TransportError`` that ended it."""
-        self._decoder = CobsDecoder()
-        self._open_session()
+        """Keep the dongle open on an open port; ends with the ``TransportError`` that ended it."""
+        self._host = self._make_host()
+        self._is_held = True
+        self._open_host()
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._read(transport))
@@ -191,14 +178,19 @@ class Coordinator:
                 raise
             raise _first(group) from group
         finally:
-            self._link = Link(role=Role.INITIATOR, config=LinkConfig(window=_WINDOW))
+            self._is_held = False
+            self._count_faults()
             self._give_up_sendings("the port was closed")
 
-    def _open_session(self) -> None:
+    def _open_host(self) -> None:
         self._receipts.clear()
-        self._take_events(self._link.open(session=self._new_session(), now_ns=time.monotonic_ns()))
-        self._opening_until_ns = time.monotonic_ns() + int(self._config.open_timeout_s * NS_PER_S)
+        now_ns = time.monotonic_ns()
+        self._allow_opening(now_ns)
+        self._take_events(self._host.open(session=self._new_session(), now_ns=now_ns))
         self._wake.set()
+
+    def _allow_opening(self, now_ns: int) -> None:
+        self._opening_until_ns = now_ns + int(self._config.open_timeout_s * NS_PER_S)
 
     def _new_session(self) -> int:
         # Only a session that opened is used up: while the dongle does not answer, numbers do not go round to its last one.
@@ -209,18 +201,15 @@ class Coordinator:
             chunk = await transport.read()
             now_ns = time.monotonic_ns()
             self._health.count("radio.bytes_in", len(chunk))
-            for body in self._decoder.feed(chunk):
-                if isinstance(body, FrameFault):
-                    self._health.count(f"frame.{body.value}")
-                else:
-                    self._take_events(self._link.receive(body, now_ns=now_ns), received_ns=now_ns)
+            self._take_events(self._host.feed(chunk, now_ns=now_ns), received_ns=now_ns)
+            self._count_faults()
             self._wake.set()
 
     async def _write(self, transport: Transport) -> None:
         while True:
-            self._confirm()  # here, so that all payloads of one commit share one ACK
-            for body in self._link.take_frames():
-                await transport.write(encode_frame(body))
+            self._confirm()  # here, so that all payloads of one commit share one acknowledgement
+            for frame in self._host.take_frames():
+                await transport.write(frame)
             deadline_ns = self._next_deadline_ns()
             wait_s = None if deadline_ns is None else max(0.0, (deadline_ns - time.monotonic_ns()) / NS_PER_S)
             try:
@@ -231,8 +220,8 @@ class Coordinator:
             self._wake.clear()
 
     def _next_deadline_ns(self) -> int | None:
-        deadlines = [self._link.next_deadline_ns()]
-        if self._link.state is LinkState.OPENING:
+        deadlines = [self._host.next_deadline_ns()]
+        if not self._host.is_open:
             deadlines.append(self._opening_until_ns)
         if self._sendings:
             deadlines.append(next(iter(self._sendings.values())).deadline_ns)  # they are in the order of their deadlines
@@ -240,51 +229,61 @@ class Coordinator:
 
     def _handle_deadlines(self, transport: Transport) -> None:
         now_ns = time.monotonic_ns()
-        self._take_events(self._link.handle_deadline(now_ns=now_ns))
-        if self._link.state is LinkState.OPENING and now_ns >= self._opening_until_ns:
-            reason = f"no answer to RESET within {self._config.open_timeout_s:g} s; is it a coordinator, at this baud rate?"
+        self._take_events(self._host.handle_deadline(now_ns=now_ns))
+        self._count_faults()
+        if not self._host.is_open and now_ns >= self._opening_until_ns:
+            reason = f"no answer for {self._config.open_timeout_s:g} s; is it a coordinator of this dialect, at this baud rate?"
             raise TransportClosedError(name=transport.name, reason=reason)
-        for handle, sending in list(self._sendings.items()):
+        for ticket, sending in list(self._sendings.items()):
             if sending.deadline_ns > now_ns:
                 break
-            self._settle(handle, RadioOutcome(fate=Fate.UNKNOWN, reason="the dongle did not say what became of it"))
+            self._host.forget(ticket)
+            self._settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason="the dongle did not say what became of it"))
 
-    def _take_events(self, events: list[LinkEvent], *, received_ns: int = 0) -> None:
+    def _take_events(self, events: list[HostEvent], *, received_ns: int = 0) -> None:
+        if events and not self._host.is_open:
+            self._allow_opening(time.monotonic_ns())  # it is slow to open, and alive
         for event in events:
             match event:
-                case PayloadReceived(payload=payload, receipt=receipt):
-                    self._take_payload(payload, receipt=receipt, received_ns=received_ns)
-                case PayloadConfirmed():
-                    self._health.count("link.payloads_confirmed")
-                case LinkOpened():
+                case PayloadHeard():
+                    self._take_payload(event, received_ns=received_ns)
+                case SendSettled(ticket=ticket, status=status):
+                    self._settle(ticket, outcome_of(status))
+                case HostOpened():
                     self._came_up()
-                case LinkLost(reason=reason, dropped=dropped):
-                    self._lost(reason, set(dropped))
+                case CoordinatorIdentified():
+                    self._identified(event)
+                case NodeSeen():
+                    self._health.count("radio.nodes_seen")
+                case CoordinatorSaid(level=level, name=name, text=text):
+                    _SAID[level](f"dongle.{name}", radio=self.radio, text=text)
+                case HostLost():
+                    self._lost(event)
 
-    def _take_payload(self, payload: bytes, *, receipt: int, received_ns: int) -> None:
-        entry = _Receipt(receipt)
+    def _take_payload(self, heard: PayloadHeard, *, received_ns: int) -> None:
+        entry = _Receipt(heard.receipt)
         self._receipts.append(entry)
-        envelope = decode_envelope(payload)
-        waits_for: asyncio.Future[None] | None = None
-        match envelope:
-            case RadioReceived(source=source, rssi_dbm=rssi_dbm, lqi=lqi, payload=inner):
-                self._health.count("radio.messages_in")
-                message = RadioMessage(radio=self.radio, source=source, rssi_dbm=rssi_dbm, lqi=lqi, payload=inner, received_ns=received_ns)
-                waits_for = self._on_radio(message)
-            case RadioConfirm(handle=handle, status=status):
-                self._settle(handle, outcome_of(status))
-            case CoordinatorHello():
-                is_known, self.hello = envelope == self.hello, envelope
-                if not is_known:
-                    _log.info("radio.identified", radio=self.radio, pan=f"{envelope.pan_id:04x}", channel=envelope.channel)
-            case EnvelopeFault():
-                self._health.count(f"envelope.{envelope.value}")
-            case _:
-                self._health.count("envelope.unexpected")
+        self._health.count("radio.messages_in")
+        received = heard.received
+        message = RadioMessage(
+            radio=self.radio,
+            source=received.source,
+            rssi_dbm=received.rssi_dbm,
+            lqi=received.lqi,
+            payload=received.payload,
+            received_ns=received_ns,
+        )
+        waits_for = self._on_radio(message)
         if waits_for is None or waits_for.done():
             self._done(entry)
         else:
             waits_for.add_done_callback(lambda _: self._done(entry))
+
+    def _identified(self, event: CoordinatorIdentified) -> None:
+        is_known, self.hello = event.hello == self.hello, event.hello
+        if not is_known:
+            pan, channel = f"{event.hello.pan_id:04x}", event.hello.channel
+            _log.info("radio.identified", radio=self.radio, firmware=event.description, pan=pan, channel=channel)
 
     def _done(self, entry: _Receipt) -> None:
         entry.is_done = True
@@ -296,13 +295,12 @@ class Coordinator:
         while self._receipts and self._receipts[0].is_done:
             last = self._receipts.popleft().number
         if last is not None:
-            self._link.confirm(last)
+            self._host.confirm(last)
 
     def _came_up(self) -> None:
         self._has_opened = True
         self._n_sessions += 1
         self._receipts.clear()
-        self._link.send(encode_envelope(IdentifyRequest()), now_ns=time.monotonic_ns())
         self._health.set_radio(self.radio, RadioState.UP)
         down_s = 0.0 if self._down_since_ns is None else (time.monotonic_ns() - self._down_since_ns) / NS_PER_S
         _log.info("radio.up", radio=self.radio, attempts=self._n_attempts, down_s=round(down_s, 1))
@@ -323,36 +321,33 @@ class Coordinator:
             if self._on_state is not None:
                 self._on_state(self.radio, RadioState.DOWN, reason)
 
-    def _lost(self, reason: LostReason, dropped: set[int]) -> None:
-        self._health.count(f"link.lost.{reason.value}")
-        for handle in [handle for handle, sending in self._sendings.items() if sending.ticket in dropped]:
-            self._settle(handle, RadioOutcome(fate=Fate.UNKNOWN, reason=f"the link was lost ({reason.value})"))
-        if reason is LostReason.PEER_RESTARTED:
-            self._give_up_sendings("the dongle restarted")
-            _log.warning("radio.restarted", radio=self.radio)
-            self._open_session()
-        elif reason is LostReason.NO_ANSWER:
-            raise TransportClosedError(name=self.radio, reason="the dongle does not answer")
+    def _lost(self, lost: HostLost) -> None:
+        self._health.count(f"link.lost.{lost.why.value}")
+        for ticket in lost.dropped:
+            self._settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason=f"the dongle was lost ({lost.detail or lost.why.value})"))
+        if lost.why is not LostWhy.RESTARTED:
+            raise TransportClosedError(name=self.radio, reason=lost.detail or lost.why.value)
+        self._give_up_sendings("the dongle restarted")
+        _log.warning("radio.restarted", radio=self.radio)
+        self._open_host()
+
+    def _count_faults(self) -> None:
+        for name, count in self._host.faults.items():
+            self._health.count(name, count)
+        self._host.faults.clear()
 
     def _give_up_sendings(self, reason: str) -> None:
-        for handle in list(self._sendings):
-            self._settle(handle, RadioOutcome(fate=Fate.UNKNOWN, reason=reason))
+        for ticket in list(self._sendings):
+            self._settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason=reason))
 
-    def _settle(self, handle: int, outcome: RadioOutcome) -> None:
-        sending = self._sendings.pop(handle, None)
+    def _settle(self, ticket: int, outcome: RadioOutcome) -> None:
+        sending = self._sendings.pop(ticket, None)
         if sending is None:
             self._health.count("radio.unexpected_confirms")
             return
         self._health.count(f"radio.{outcome.fate.value}")
         if not sending.future.done():
             sending.future.set_result(outcome)
-
-    def _take_handle(self) -> int:
-        while self._next_handle in self._sendings:
-            self._next_handle = (self._next_handle + 1) % (1 << 16)
-        handle = self._next_handle
-        self._next_handle = (handle + 1) % (1 << 16)
-        return handle
 
 
 def _first(group: BaseExceptionGroup[BaseException]) -> TransportError:

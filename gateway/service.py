@@ -1,13 +1,16 @@
 """The running gateway: every part wired to the others, in the one task group."""
 
 import asyncio
+import random
 import signal
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, StimulationRequest
+from firmware_protocol.dialects.choice import make_host
+from firmware_protocol.dialects.interface import Host
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
 from gateway.bus import Bus, CommandAnswer
@@ -24,8 +27,7 @@ from gateway.log import EventLog
 from gateway.mission import Mission
 from gateway.nodes import NodeBook
 from gateway.stimulation import StimulationGate
-from gateway.transports.interface import Transport
-from gateway.transports.spec import open_transport, parse_port_spec
+from gateway.transports.spec import PortSpec, open_transport, parse_port_spec
 
 _log = EventLog(__name__)
 
@@ -63,14 +65,14 @@ class Service:
         try:
             bus = await asyncio.to_thread(Bus.open, self._config, health=self._health)
             try:
-                await self._run_parts({name: partial(open_transport, spec) for name, spec in ports.items()}, bus, on_ready)
+                await self._run_parts(ports, bus, on_ready)
             finally:
                 await asyncio.to_thread(bus.close)
         finally:
             await asyncio.to_thread(self._journal.close)
         _log.info("gateway.stopped", head_offset=self._journal.head_offset)
 
-    async def _run_parts(self, ports: dict[str, Callable[[], Awaitable[Transport]]], bus: Bus, on_ready: Callable[[], None] | None) -> None:
+    async def _run_parts(self, ports: dict[str, PortSpec], bus: Bus, on_ready: Callable[[], None] | None) -> None:
         config, journal, health = self._config, self._journal, self._health
         now_ns = time.monotonic_ns()
         issuer = RecordIssuer(
@@ -96,14 +98,15 @@ class Service:
         coordinators = {
             name: Coordinator(
                 radio=name,
-                open_port=open_port,
+                make_host=partial(_make_host, spec.dialect),
+                open_port=partial(open_transport, spec),
                 on_radio=intake.take,
                 config=config.link,
                 health=health,
                 first_session=journal.identity.first_session,
                 on_state=partial(self._on_radio_state, bus),
             )
-            for name, open_port in ports.items()
+            for name, spec in ports.items()
         }
         sender = DownlinkSender(coordinators=coordinators, nodes=nodes)
         acknowledger = Acknowledger(sender=sender, window_of=intake.window_of, health=health)
@@ -225,3 +228,8 @@ async def run_gateway(config: GatewayConfig) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, on_signal, number)
     await service.run()
+
+
+def _make_host(dialect: str) -> Host:
+    # A dongle may still tell of payloads of an earlier process: their numbers must not be those of this one.
+    return make_host(dialect, first_handle=random.randrange(1 << 16))

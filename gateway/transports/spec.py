@@ -1,9 +1,10 @@
-"""How a port is named: ``serial:/dev/ttyACM0?baud=115200`` or ``tcp:HOST:PORT``."""
+"""How a port is named: ``serial:/dev/ttyACM0?baud=115200&dialect=xbee`` or ``tcp:HOST:PORT?dialect=znp``."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
 from urllib.parse import parse_qsl
 
+from firmware_protocol.dialects.choice import DEFAULT_DIALECT, DIALECTS
 from gateway.errors import TransportSpecError
 from gateway.transports.interface import Transport
 from gateway.transports.serial_port import open_serial
@@ -20,6 +21,7 @@ class SerialSpec:
 
     path: str
     baud: int
+    dialect: str = DEFAULT_DIALECT
 
     @property
     def name(self) -> str:
@@ -33,6 +35,7 @@ class TcpSpec:
 
     host: str
     port: int
+    dialect: str = DEFAULT_DIALECT
 
     @property
     def name(self) -> str:
@@ -79,29 +82,46 @@ async def open_transport(spec: PortSpec) -> Transport:
 
 
 def _parse_serial(spec: str, rest: str) -> SerialSpec:
-    path, question, query = rest.partition("?")
+    path, options = _split_options(spec, rest, allowed=("baud", "dialect"))
     if not path:
         raise TransportSpecError(spec=spec, reason="names no device")
-    baud = DEFAULT_BAUD
-    try:
-        options = parse_qsl(query, strict_parsing=True) if question else []
-    except ValueError as error:
-        raise TransportSpecError(spec=spec, reason=f"options {query!r} are not of the form key=value") from error
-    for key, value in options:
-        if key != "baud":
-            raise TransportSpecError(spec=spec, reason=f"unknown option {key!r}: the only one is baud")
-        if not value.isascii() or not value.isdigit() or not 1 <= int(value) <= _MAX_BAUD:
-            raise TransportSpecError(spec=spec, reason=f"baud is {value!r}, but must be a number from 1 to {_MAX_BAUD}")
-        baud = int(value)
-    return SerialSpec(path=path, baud=baud)
+    baud = options.get("baud", str(DEFAULT_BAUD))
+    if not baud.isascii() or not baud.isdigit() or not 1 <= int(baud) <= _MAX_BAUD:
+        raise TransportSpecError(spec=spec, reason=f"baud is {baud!r}, but must be a number from 1 to {_MAX_BAUD}")
+    return SerialSpec(path=path, baud=int(baud), dialect=_dialect(spec, options))
 
 
 def _parse_tcp(spec: str, rest: str) -> TcpSpec:
-    host, colon, port = rest.rpartition(":")
+    place, options = _split_options(spec, rest, allowed=("dialect",))
+    host, colon, port = place.rpartition(":")
     if host.startswith("[") and host.endswith("]"):
         host = host[1:-1]
     if not colon or not host:
         raise TransportSpecError(spec=spec, reason="must be tcp:HOST:PORT")
     if not port.isascii() or not port.isdigit() or not 1 <= int(port) <= 65_535:
         raise TransportSpecError(spec=spec, reason=f"the port is {port!r}, but must be a number from 1 to 65535")
-    return TcpSpec(host=host, port=int(port))
+    return TcpSpec(host=host, port=int(port), dialect=_dialect(spec, options))
+
+
+def _split_options(spec: str, rest: str, *, allowed: tuple[str, ...]) -> tuple[str, dict[str, str]]:
+    """Return what stands before the question mark, and the options after it."""
+    place, question, query = rest.partition("?")
+    try:
+        pairs = parse_qsl(query, strict_parsing=True) if question else []
+    except ValueError as error:
+        raise TransportSpecError(spec=spec, reason=f"options {query!r} are not of the form key=value") from error
+    options: dict[str, str] = {}
+    for key, value in pairs:
+        if key not in allowed:
+            raise TransportSpecError(spec=spec, reason=f"unknown option {key!r}; known here: {', '.join(allowed)}")
+        if key in options:
+            raise TransportSpecError(spec=spec, reason=f"option {key!r} is given twice")
+        options[key] = value
+    return place, options
+
+
+def _dialect(spec: str, options: dict[str, str]) -> str:
+    dialect = options.get("dialect", DEFAULT_DIALECT)
+    if dialect not in DIALECTS:
+        raise TransportSpecError(spec=spec, reason=f"unknown dialect {dialect!r}: it must be one of {', '.join(DIALECTS)}")
+    return dialect
