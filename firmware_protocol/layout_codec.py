@@ -36,7 +36,7 @@ class LayoutCodec:
         The layout appends fields and has entries or text, or has both of these, or a field without default after one with.
     """
 
-    __slots__ = ("_counts", "_entry", "_limits", "_names", "_packing", "_shorter", "_size", "layout")
+    __slots__ = ("_entries_sizes", "_entry", "_iter_entries", "_limits", "_names", "_packing", "_shorter", "_size", "layout")
 
     def __init__(self, layout: Layout) -> None:
         is_open = bool(layout.entry) or layout.text_limit is not None
@@ -50,7 +50,9 @@ class LayoutCodec:
         self._size = self._packing.size
         self._limits = tuple((index, *field.limits) for index, field in enumerate(layout.fields) if field.limits is not None)
         self._entry = layout.entry_packing
-        self._counts = layout.entry_counts
+        self._iter_entries = self._entry.iter_unpack
+        least, most = layout.entry_counts
+        self._entries_sizes = frozenset(self._size + count * self._entry.size for count in range(least, most + 1))
         self._shorter = _shorter_forms(layout)
 
     def read_fields(self, body: bytes) -> Values | LayoutFault:
@@ -70,15 +72,15 @@ class LayoutCodec:
 
     def read_entries(self, body: bytes) -> tuple[Values, tuple[Values, ...]] | LayoutFault:
         """Return the fields of a body and its entries, as many as there are."""
-        entries = body[self._size :] if self._size else body
-        size = self._entry.size
-        if len(entries) % size or not self._counts[0] * size <= len(entries) <= self._counts[1] * size or len(body) < self._size:
+        if len(body) not in self._entries_sizes:
             return LayoutFault.BAD_LENGTH
+        if not self._size:
+            return (), tuple(self._iter_entries(body))
         values = self._packing.unpack_from(body)
         for index, low, high in self._limits:
             if not low <= values[index] <= high:
                 return LayoutFault.BAD_VALUE
-        return values, tuple(self._entry.iter_unpack(entries))
+        return values, tuple(self._iter_entries(body[self._size :]))
 
     def read_text(self, body: bytes) -> tuple[Values, bytes] | LayoutFault:
         """Return the fields of a body and the octets of its text, which may be no good UTF-8."""
@@ -115,7 +117,7 @@ class LayoutCodec:
         EncodeError
             There are too few or too many, or a value does not fit its field.
         """
-        least, most = self._counts
+        least, most = self.layout.entry_counts
         if not least <= len(entries) <= most:
             raise EncodeError(field=f"{self.layout.name} entries", value=len(entries), limit=f"{least} to {most} of them")
         try:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.crc import append_crc
-from firmware_protocol.envelope import Envelope, EnvelopeFault, IdentifyRequest, RadioSend, decode_envelope, encode_envelope
+from firmware_protocol.envelope import Envelope, EnvelopeFault, RadioSend, decode_envelope, encode_envelope
 from firmware_protocol.errors import EncodeError
 from firmware_protocol.message_codec import decode_downlink, decode_uplink, encode_downlink, encode_uplink
 from firmware_protocol.messages import (
