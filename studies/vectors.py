@@ -1,4 +1,4 @@
-"""Write the golden vectors of the wire format, which the codecs in Python and in C are both held to (WIRE_FORMAT.md §11).
+"""Write the golden vectors of the wire format, which the codecs in Python and in C are both held to (WIRE_FORMAT.md §7.5).
 
 ``python -m studies.vectors [FOLDER]``, by default into ``firmware_protocol/vectors``; a test compares them with the files and with what the
 codec says, both ways. They are packed here from the table of layouts alone, not by the codec that they test. Each file is a list of
