@@ -6,11 +6,12 @@ Polynomial 0x1021, initial value 0xFFFF, not reflected, no final XOR; check valu
 import binascii
 
 CRC_SIZE = 2
+CRC_INITIAL = 0xFFFF
 
 
 def crc16(data: bytes) -> int:
     """Return the CRC-16/IBM-3740 of ``data``."""
-    return binascii.crc_hqx(data, 0xFFFF)
+    return binascii.crc_hqx(data, CRC_INITIAL)
 
 
 def append_crc(data: bytes) -> bytes:

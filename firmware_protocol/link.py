@@ -25,9 +25,13 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import TypeAlias
 
+from msgspec import Struct
+
 from firmware_protocol.errors import LinkFullError
 
 LINK_VERSION = 1
+"""Newest version of the link that this code speaks (§3.5)."""
+
 MAX_PAYLOAD = 240
 """Longest payload of a DATA frame [B]; with the 4-byte header it fits every framing's body."""
 
@@ -80,28 +84,24 @@ class LinkConfig:
     reset_retry_ns: int = 500 * _NS_PER_MS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkOpened:
+class LinkOpened(Struct, frozen=True, kw_only=True, gc=False):
     """A session began; sequence numbers start anew."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PayloadReceived:
+class PayloadReceived(Struct, frozen=True, kw_only=True, gc=False):
     """A payload arrived, once and in order; ``confirm(receipt)`` lets the peer forget it."""
 
     payload: bytes
     receipt: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PayloadConfirmed:
+class PayloadConfirmed(Struct, frozen=True, kw_only=True, gc=False):
     """The peer has confirmed the payload that ``send`` gave this ticket."""
 
     ticket: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkLost:
+class LinkLost(Struct, frozen=True, kw_only=True, gc=False):
     """The session ended; ``dropped`` are the tickets whose outcome is not known."""
 
     reason: LostReason
@@ -126,6 +126,8 @@ class Link:
     role: Role
     config: LinkConfig = field(default_factory=LinkConfig)
     state: LinkState = LinkState.CLOSED
+    version: int = LINK_VERSION
+    """Of the session: the newest that both ends speak (§3.5)."""
     n_ignored: int = 0
     """Frames that were not of this session or not understood."""
     n_repeated: int = 0
@@ -213,7 +215,7 @@ class Link:
             return []
         self._heard(now_ns)
         if self.state is LinkState.OPENING:
-            return self._opened(now_ns) if kind == _Kind.RESET_ACK else []
+            return self._take_reset_ack(payload, now_ns) if kind == _Kind.RESET_ACK else []
         if kind == _Kind.DATA:
             return self._take_data(sequence, payload)
         if kind == _Kind.ACK:
@@ -266,16 +268,26 @@ class Link:
         self._retransmit_at_ns = self._reset_at_ns = self._ping_at_ns = None
 
     def _accept_reset(self, session: int, payload: bytes, now_ns: int) -> list[LinkEvent]:
-        if payload[:1] != bytes([LINK_VERSION]):
+        newest = _version_in(payload)
+        if newest == 0:
             self.n_ignored += 1
             return []
         if self.state is LinkState.OPEN and session == self._session:
-            self._push(_Kind.RESET_ACK, 0)  # our answer was lost; the session has begun and goes on
+            self._push(_Kind.RESET_ACK, 0, bytes([self.version]))  # our answer was lost; the session has begun and goes on
             return []
         self._unsent.extendleft(reversed(self._in_flight))
         self._in_flight.clear()
         self._begin(session)
-        self._push(_Kind.RESET_ACK, 0)
+        self.version = min(newest, LINK_VERSION)
+        self._push(_Kind.RESET_ACK, 0, bytes([self.version]))
+        return self._opened(now_ns)
+
+    def _take_reset_ack(self, payload: bytes, now_ns: int) -> list[LinkEvent]:
+        version = _version_in(payload)
+        if not 1 <= version <= LINK_VERSION:
+            self.n_ignored += 1  # it chose what was not offered; RESET is sent again, and the base station reports that nothing answers
+            return []
+        self.version = version
         return self._opened(now_ns)
 
     def _opened(self, now_ns: int) -> list[LinkEvent]:
@@ -344,3 +356,8 @@ class Link:
         self._retransmit_at_ns = self._reset_at_ns = self._ping_at_ns = None
         dropped = self._forget_outgoing() if self.role is Role.INITIATOR else ()
         return [LinkLost(reason=reason, dropped=dropped)]
+
+
+def _version_in(payload: bytes) -> int:
+    """Return the link version that RESET and RESET_ACK carry; those of the first firmware carry none, which means 1."""
+    return payload[0] if payload else 1

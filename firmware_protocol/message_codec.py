@@ -1,61 +1,65 @@
-"""Radio messages to bytes and back (WIRE_FORMAT.md §5 and §6): one table of types, an encoder and a decoder each.
+"""Radio messages to bytes and back (WIRE_FORMAT.md §5 and §6), by the one table of layouts.
 
 Every payload fits ``MAX_RADIO_PAYLOAD`` bytes including its own CRC-16. What arrives is never trusted: ``decode_uplink`` and
-``decode_downlink`` return a ``MessageFault`` for anything that is not a message of this version.
+``decode_downlink`` return a ``MessageFault`` for anything that is not a message of this version, the first that applies in the order of
+§7. ``decode_uplink_fields`` stops at plain integers, for those who read many frames and need no objects.
 """
 
-import struct
-from collections.abc import Callable
-from typing import TypeVar
+from binascii import crc_hqx
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from typing import Any, TypeAlias, cast
 
-from firmware_protocol.crc import append_crc, strip_crc
+from firmware_protocol import messages
+from firmware_protocol.crc import CRC_INITIAL, CRC_SIZE, append_crc
 from firmware_protocol.errors import EncodeError
+from firmware_protocol.layout_codec import LayoutCodec, LayoutFault, Values
+from firmware_protocol.layouts import DOWNLINK_HEADER, DOWNLINK_LAYOUTS, UPLINK_HEADER, UPLINK_LAYOUTS, Layout
 from firmware_protocol.messages import (
     MAX_ENCOUNTER_MS,
-    MAX_ENCOUNTERS_PER_BATCH,
-    MAX_NEIGHBOURS_PER_PART,
+    MAX_PATH_MM,
     MAX_RADIO_PAYLOAD,
     PROTOCOL_VERSION,
-    Acknowledge,
     Action,
+    ConfigurationResult,
+    Diagnostic,
     Downlink,
     EncounterBatch,
+    EncounterBatchWithPaths,
     EncounterEntry,
-    Hello,
-    HelloRequest,
+    Level,
     MessageFault,
     Neighbour,
     Neighbours,
-    Status,
-    Stimulate,
-    StimulateReply,
     StimulationResult,
-    TimeSyncReply,
-    TimeSyncRequest,
     Uplink,
     UplinkHeader,
+    Waveform,
     WireCause,
     WireMode,
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
 
-_MessageT = TypeVar("_MessageT")
+UplinkFields: TypeAlias = tuple[Values, Values, tuple[Values, ...] | bytes]
+"""Header, fields, and entries or text of an uplink message, as its layout has them; an empty tuple where it has neither."""
 
-# --- layouts --------------------------------------------------------------------------------------------------------
-
-_UPLINK_HEADER = struct.Struct("<BBHHHI")  # type, version, node, boot, sequence, sent_ms (§5.1)
-_DOWNLINK_HEADER = struct.Struct("<BBH")  # type, version, sequence (§6.1)
-_HELLO = struct.Struct("<QHHH")  # eui64, firmware, beacon_period_ms, capabilities (§5.2)
-_ENCOUNTER = struct.Struct("<HIBHb")  # peer, start_ms, flags and high bits of duration, low bits, rssi (§5.3)
-_STATUS = struct.Struct("<BBIHHH")  # mode, cause, mode_since_ms, battery_mv, buffered, dropped (§5.4)
-_NEIGHBOURS = struct.Struct("<BB")  # part, n_parts (§5.5)
-_NEIGHBOUR = struct.Struct("<Hb")  # node, rssi (§5.5)
-_TIME_SYNC_REPLY = struct.Struct("<HI")  # token, received_ms (§5.6)
-_STIMULATE_REPLY = struct.Struct("<IBIB")  # command, result, executed_ms, mode (§5.7)
-_ACKNOWLEDGE = struct.Struct("<HHI")  # boot, next_sequence, bitmap (§6.3)
-_TIME_SYNC_REQUEST = struct.Struct("<H")  # token (§6.4)
-_STIMULATE = struct.Struct("<IBHIBHHH")  # command, action, ttl, hold, frequency, width, amplitude, duration (§6.5)
 _ONGOING_BIT = 0x80
+_DURATION_HIGH_BITS = 0x3F
+_PATH_UNKNOWN = 0xFFFF
+
+_ENUMS: dict[str, type[IntEnum]] = {
+    "mode": WireMode,
+    "cause": WireCause,
+    "action": Action,
+    "level": Level,
+    "waveform": Waveform,
+}
+"""Fields that are one of few, by name; ``result`` depends on the message."""
+
+_RESULTS: dict[str, type[IntEnum]] = {"StimulateReply": StimulationResult, "ConfigurationReport": ConfigurationResult}
+
+_Read: TypeAlias = Callable[[bytes], "tuple[Values, tuple[Values, ...] | bytes] | LayoutFault"]
+_Build: TypeAlias = Callable[[Values, Any], Any]
 
 
 def encode_uplink(header: UplinkHeader, message: Uplink) -> bytes:
@@ -66,24 +70,38 @@ def encode_uplink(header: UplinkHeader, message: Uplink) -> bytes:
     EncodeError
         A value does not fit its field, or a list its message.
     """
-    kind, encode = _UPLINK_ENCODERS[type(message)]
-    head = _pack(_UPLINK_HEADER, "header", kind, PROTOCOL_VERSION, header.node, header.boot, header.sequence, header.sent_ms)
-    return append_crc(head + encode(message))
+    kind, write = _UPLINK_WRITERS[type(message)]
+    head = (kind, PROTOCOL_VERSION, header.node, header.boot, header.sequence, header.sent_ms)
+    return append_crc(_UPLINK_HEAD.write_fields(head) + write(message))
 
 
 def decode_uplink(payload: bytes) -> tuple[UplinkHeader, Uplink] | MessageFault:
     """Return header and message of a radio payload from a backpack, or why it is none."""
-    body = _checked(payload, _UPLINK_HEADER)
-    if isinstance(body, MessageFault):
-        return body
-    kind, _, node, boot, sequence, sent_ms = _UPLINK_HEADER.unpack_from(body)
-    decode = _UPLINK_DECODERS.get(kind)
-    if decode is None:
+    fields = decode_uplink_fields(payload)
+    if not isinstance(fields, tuple):
+        return fields
+    (kind, _, node, boot, sequence, sent_ms), values, rest = fields
+    header = UplinkHeader(node=NodeId(node), boot=BootId(boot), sequence=sequence, sent_ms=Milliseconds(sent_ms))
+    return header, _UPLINK_BUILDERS[kind](values, rest)
+
+
+def decode_uplink_fields(payload: bytes) -> UplinkFields | MessageFault:
+    """Return what ``decode_uplink`` does, as plain integers in the order of the layouts, with the same faults."""
+    size = len(payload)
+    if size > MAX_RADIO_PAYLOAD:
+        return MessageFault.TOO_LONG
+    if crc_hqx(payload, CRC_INITIAL) or size < _LEAST_UPLINK:  # a CRC without final XOR of data and its own CRC is zero
+        return _fault_of_short(payload)
+    header: Values = _UNPACK_UPLINK_HEAD(payload)
+    if header[1] != PROTOCOL_VERSION:
+        return MessageFault.UNKNOWN_VERSION
+    read = _UPLINK_READERS.get(header[0])
+    if read is None:
         return MessageFault.UNKNOWN_TYPE
-    message = _decoded(decode, body[_UPLINK_HEADER.size :])
-    if isinstance(message, MessageFault):
-        return message
-    return UplinkHeader(node=NodeId(node), boot=BootId(boot), sequence=sequence, sent_ms=Milliseconds(sent_ms)), message
+    body = read(payload[_UPLINK_HEAD_SIZE:-CRC_SIZE])
+    if isinstance(body, tuple):  # an instance of a plain class is told in a third of the time that one of an enum takes
+        return (header, *body)
+    return _FAULTS[body]
 
 
 def encode_downlink(sequence: int, message: Downlink) -> bytes:
@@ -94,220 +112,228 @@ def encode_downlink(sequence: int, message: Downlink) -> bytes:
     EncodeError
         A value does not fit its field.
     """
-    kind, encode = _DOWNLINK_ENCODERS[type(message)]
-    return append_crc(_pack(_DOWNLINK_HEADER, "header", kind, PROTOCOL_VERSION, sequence) + encode(message))
+    kind, write = _DOWNLINK_WRITERS[type(message)]
+    return append_crc(_DOWNLINK_HEAD.write_fields((kind, PROTOCOL_VERSION, sequence)) + write(message))
 
 
 def decode_downlink(payload: bytes) -> tuple[int, Downlink] | MessageFault:
     """Return sequence number and message of a radio payload from the base station, or why it is none."""
-    body = _checked(payload, _DOWNLINK_HEADER)
-    if isinstance(body, MessageFault):
-        return body
-    kind, _, sequence = _DOWNLINK_HEADER.unpack_from(body)
-    decode = _DOWNLINK_DECODERS.get(kind)
-    if decode is None:
-        return MessageFault.UNKNOWN_TYPE
-    message = _decoded(decode, body[_DOWNLINK_HEADER.size :])
-    return message if isinstance(message, MessageFault) else (sequence, message)
-
-
-def _checked(payload: bytes, header: struct.Struct) -> bytes | MessageFault:
-    if len(payload) > MAX_RADIO_PAYLOAD:
+    size = len(payload)
+    if size > MAX_RADIO_PAYLOAD:
         return MessageFault.TOO_LONG
-    body = strip_crc(payload)
-    if body is None:
-        return MessageFault.BAD_CRC
-    if len(body) < header.size:
-        return MessageFault.BAD_LENGTH
-    if body[1] != PROTOCOL_VERSION:
+    if crc_hqx(payload, CRC_INITIAL) or size < _LEAST_DOWNLINK:
+        return _fault_of_short(payload)
+    kind, version, sequence = _UNPACK_DOWNLINK_HEAD(payload)
+    if version != PROTOCOL_VERSION:
         return MessageFault.UNKNOWN_VERSION
-    return body
+    read = _DOWNLINK_READERS.get(kind)
+    if read is None:
+        return MessageFault.UNKNOWN_TYPE
+    body = read(payload[_DOWNLINK_HEAD_SIZE:-CRC_SIZE])
+    if isinstance(body, LayoutFault):
+        return _FAULTS[body]
+    return sequence, _DOWNLINK_BUILDERS[kind](body[0], body[1])
 
 
-def _decoded(decode: Callable[[bytes], _MessageT], body: bytes) -> _MessageT | MessageFault:
-    try:
-        return decode(body)
-    except struct.error:
-        return MessageFault.BAD_LENGTH
-    except ValueError:
-        return MessageFault.BAD_VALUE
+def _fault_of_short(payload: bytes) -> MessageFault:
+    """Return what is wrong with a payload whose checksum does not fit, or whose header is not whole."""
+    is_checked = len(payload) >= CRC_SIZE and crc_hqx(payload, CRC_INITIAL) == 0
+    return MessageFault.BAD_LENGTH if is_checked else MessageFault.BAD_CRC
 
 
-def _pack(layout: struct.Struct, name: str, *values: int) -> bytes:
-    try:
-        return layout.pack(*values)
-    except struct.error as error:
-        raise EncodeError(field=name, value=values, limit=f"layout {layout.format!r} ({error})") from error
+# --- messages that are nothing but fields ---------------------------------------------------------------------------
 
 
-def _encode_hello(message: Hello) -> bytes:
-    return _pack(_HELLO, "hello", message.eui64, message.firmware, message.beacon_period_ms, message.capabilities)
+def _fields_reader(codec: LayoutCodec) -> _Read:
+    read_fields = codec.read_fields
+
+    def read(body: bytes) -> tuple[Values, tuple[Values, ...]] | LayoutFault:
+        values = read_fields(body)
+        return values if isinstance(values, LayoutFault) else (values, ())
+
+    return read
 
 
-def _decode_hello(body: bytes) -> Hello:
-    eui64, firmware, beacon_period_ms, capabilities = _HELLO.unpack(body)
-    return Hello(eui64=eui64, firmware=firmware, beacon_period_ms=beacon_period_ms, capabilities=capabilities)
+def _fields_builder(layout: Layout) -> _Build:
+    cls = _class_of(layout)
+    names = tuple(field.name for field in layout.fields)
+    members = tuple((at, _members(layout, name)) for at, name in enumerate(names) if _enum_of(layout, name) is not None)
+
+    def build(values: Values, rest: object) -> object:  # noqa: ARG001  # of messages with entries or text
+        if not members:
+            return cls(**dict(zip(names, values, strict=True)))
+        whole = list(values)
+        for at, by_value in members:
+            whole[at] = by_value[whole[at]]
+        return cls(**dict(zip(names, whole, strict=True)))
+
+    return build
 
 
-def _encode_encounters(message: EncounterBatch) -> bytes:
-    if not 1 <= len(message.entries) <= MAX_ENCOUNTERS_PER_BATCH:
-        raise EncodeError(field="encounter batch", value=len(message.entries), limit=f"1 to {MAX_ENCOUNTERS_PER_BATCH} entries")
-    out = b""
-    for entry in message.entries:
-        if not 0 <= entry.duration_ms <= MAX_ENCOUNTER_MS:
-            raise EncodeError(field="duration_ms", value=entry.duration_ms, limit=f"0 to {MAX_ENCOUNTER_MS}")
-        high = (entry.duration_ms >> 16) | (_ONGOING_BIT if entry.is_ongoing else 0)
-        out += _pack(_ENCOUNTER, "encounter", entry.peer, entry.start_ms, high, entry.duration_ms & 0xFFFF, entry.rssi_dbm)
-    return out
+def _fields_writer(codec: LayoutCodec) -> Callable[[Any], bytes]:
+    names = tuple(field.name for field in codec.layout.fields)
+
+    def write(message: object) -> bytes:
+        return codec.write_fields([getattr(message, name) for name in names])
+
+    return write
 
 
-def _decode_encounters(body: bytes) -> EncounterBatch:
-    if not body or len(body) % _ENCOUNTER.size or len(body) > MAX_ENCOUNTERS_PER_BATCH * _ENCOUNTER.size:
-        raise struct.error
-    entries = []
-    for peer, start_ms, high, low, rssi in _ENCOUNTER.iter_unpack(body):
-        entries.append(
-            EncounterEntry(
-                peer=NodeId(peer),
-                start_ms=Milliseconds(start_ms),
-                duration_ms=Milliseconds((high & 0x3F) << 16 | low),
-                rssi_dbm=RssiDbm(rssi),
-                is_ongoing=bool(high & _ONGOING_BIT),
-            )
+def _class_of(layout: Layout) -> type[Any]:
+    return cast("type[Any]", getattr(messages, layout.name))
+
+
+def _enum_of(layout: Layout, name: str) -> type[IntEnum] | None:
+    return _RESULTS.get(layout.name) if name == "result" else _ENUMS.get(name)
+
+
+def _members(layout: Layout, name: str) -> dict[int, IntEnum]:
+    return {member.value: member for member in _enum_of(layout, name) or ()}
+
+
+# --- messages with entries or text ----------------------------------------------------------------------------------
+
+
+def _build_encounters(values: Values, entries: Sequence[Values]) -> EncounterBatch:  # noqa: ARG001  # it has no fields
+    return EncounterBatch(
+        entries=tuple(
+            [
+                EncounterEntry(
+                    peer=NodeId(peer),
+                    start_ms=Milliseconds(start_ms),
+                    duration_ms=Milliseconds((high & _DURATION_HIGH_BITS) << 16 | low),
+                    rssi_dbm=RssiDbm(rssi),
+                    is_ongoing=high >= _ONGOING_BIT,
+                )
+                for peer, start_ms, high, low, rssi in entries
+            ]
         )
-    return EncounterBatch(entries=tuple(entries))
-
-
-def _encode_status(message: Status) -> bytes:
-    return _pack(
-        _STATUS, "status", message.mode, message.cause, message.mode_since_ms, message.battery_mv, message.buffered, message.dropped
     )
 
 
-def _decode_status(body: bytes) -> Status:
-    mode, cause, mode_since_ms, battery_mv, buffered, dropped = _STATUS.unpack(body)
-    return Status(
-        mode=WireMode(mode),
-        cause=WireCause(cause),
-        mode_since_ms=Milliseconds(mode_since_ms),
-        battery_mv=battery_mv,
-        buffered=buffered,
-        dropped=dropped,
+def _build_encounters_with_paths(values: Values, entries: Sequence[Values]) -> EncounterBatchWithPaths:  # noqa: ARG001  # it has no fields
+    return EncounterBatchWithPaths(
+        entries=tuple(
+            [
+                EncounterEntry(
+                    peer=NodeId(peer),
+                    start_ms=Milliseconds(start_ms),
+                    duration_ms=Milliseconds((high & _DURATION_HIGH_BITS) << 16 | low),
+                    rssi_dbm=RssiDbm(rssi),
+                    is_ongoing=high >= _ONGOING_BIT,
+                    path_mm=None if path_mm == _PATH_UNKNOWN else path_mm,
+                )
+                for peer, start_ms, high, low, rssi, path_mm in entries
+            ]
+        )
     )
 
 
-def _encode_neighbours(message: Neighbours) -> bytes:
-    if len(message.neighbours) > MAX_NEIGHBOURS_PER_PART:
-        raise EncodeError(field="neighbours", value=len(message.neighbours), limit=f"at most {MAX_NEIGHBOURS_PER_PART} a part")
+def _encounter_values(entry: EncounterEntry) -> Values:
+    if not 0 <= entry.duration_ms <= MAX_ENCOUNTER_MS:
+        raise EncodeError(field="duration_ms", value=entry.duration_ms, limit=f"0 to {MAX_ENCOUNTER_MS}")
+    high = (entry.duration_ms >> 16) | (_ONGOING_BIT if entry.is_ongoing else 0)
+    return (entry.peer, entry.start_ms, high, entry.duration_ms & 0xFFFF, entry.rssi_dbm)
+
+
+def _write_encounters(message: EncounterBatch) -> bytes:
+    for entry in message.entries:
+        if entry.path_mm is not None:
+            raise EncodeError(field="path_mm", value=entry.path_mm, limit="it in an EncounterBatchWithPaths alone")
+    return _ENCOUNTERS.write_entries([_encounter_values(entry) for entry in message.entries])
+
+
+def _write_encounters_with_paths(message: EncounterBatchWithPaths) -> bytes:
+    entries = []
+    for entry in message.entries:
+        path_mm = _PATH_UNKNOWN if entry.path_mm is None else entry.path_mm
+        if entry.path_mm is not None and not 0 <= entry.path_mm <= MAX_PATH_MM:
+            raise EncodeError(field="path_mm", value=entry.path_mm, limit=f"0 to {MAX_PATH_MM}, which stands for all longer paths, or None")
+        entries.append((*_encounter_values(entry), path_mm))
+    return _ENCOUNTERS_WITH_PATHS.write_entries(entries)
+
+
+def _read_neighbours(body: bytes) -> tuple[Values, tuple[Values, ...]] | LayoutFault:
+    read = _NEIGHBOURS.read_entries(body)
+    if isinstance(read, LayoutFault):
+        return read
+    part, n_parts = read[0]
+    return read if part < n_parts else LayoutFault.BAD_VALUE
+
+
+def _build_neighbours(values: Values, entries: Sequence[Values]) -> Neighbours:
+    neighbours = tuple([Neighbour(node=NodeId(node), rssi_dbm=RssiDbm(rssi)) for node, rssi in entries])
+    return Neighbours(part=values[0], n_parts=values[1], neighbours=neighbours)
+
+
+def _write_neighbours(message: Neighbours) -> bytes:
     if not 0 <= message.part < message.n_parts:
         raise EncodeError(field="part", value=message.part, limit=f"0 to n_parts - 1 = {message.n_parts - 1}")
-    out = _pack(_NEIGHBOURS, "neighbours", message.part, message.n_parts)
-    return out + b"".join(_pack(_NEIGHBOUR, "neighbour", one.node, one.rssi_dbm) for one in message.neighbours)
+    fields = _NEIGHBOURS.write_fields((message.part, message.n_parts))
+    return fields + _NEIGHBOURS.write_entries([(one.node, one.rssi_dbm) for one in message.neighbours])
 
 
-def _decode_neighbours(body: bytes) -> Neighbours:
-    part, n_parts = _NEIGHBOURS.unpack_from(body)
-    rest = body[_NEIGHBOURS.size :]
-    if len(rest) % _NEIGHBOUR.size or len(rest) > MAX_NEIGHBOURS_PER_PART * _NEIGHBOUR.size:
-        raise struct.error
-    if part >= n_parts:
-        msg = f"part {part} of {n_parts}"
-        raise ValueError(msg)
-    neighbours = tuple(Neighbour(node=NodeId(node), rssi_dbm=RssiDbm(rssi)) for node, rssi in _NEIGHBOUR.iter_unpack(rest))
-    return Neighbours(part=part, n_parts=n_parts, neighbours=neighbours)
+def _build_diagnostic(values: Values, text: bytes) -> Diagnostic:
+    level, code, argument, at_ms = values
+    return Diagnostic(level=_LEVELS[level], code=code, argument=argument, at_ms=Milliseconds(at_ms), text=text.decode(errors="replace"))
 
 
-def _encode_time_sync_reply(message: TimeSyncReply) -> bytes:
-    return _pack(_TIME_SYNC_REPLY, "time sync reply", message.token, message.received_ms)
+def _write_diagnostic(message: Diagnostic) -> bytes:
+    fields = _DIAGNOSTIC.write_fields((message.level, message.code, message.argument, message.at_ms))
+    return fields + _DIAGNOSTIC.write_text(message.text)
 
 
-def _decode_time_sync_reply(body: bytes) -> TimeSyncReply:
-    token, received_ms = _TIME_SYNC_REPLY.unpack(body)
-    return TimeSyncReply(token=token, received_ms=Milliseconds(received_ms))
+# --- the tables -----------------------------------------------------------------------------------------------------
+
+_FAULTS = {LayoutFault.BAD_LENGTH: MessageFault.BAD_LENGTH, LayoutFault.BAD_VALUE: MessageFault.BAD_VALUE}
+_LEVELS = tuple(Level)
+
+_UPLINK_HEAD = LayoutCodec(UPLINK_HEADER)
+_UPLINK_HEAD_SIZE = UPLINK_HEADER.packing.size
+_LEAST_UPLINK = _UPLINK_HEAD_SIZE + CRC_SIZE
+_UNPACK_UPLINK_HEAD = UPLINK_HEADER.packing.unpack_from
+_DOWNLINK_HEAD = LayoutCodec(DOWNLINK_HEADER)
+_DOWNLINK_HEAD_SIZE = DOWNLINK_HEADER.packing.size
+_LEAST_DOWNLINK = _DOWNLINK_HEAD_SIZE + CRC_SIZE
+_UNPACK_DOWNLINK_HEAD = DOWNLINK_HEADER.packing.unpack_from
+
+_UPLINKS = {layout.name: LayoutCodec(layout) for layout in UPLINK_LAYOUTS}
+_DOWNLINKS = {layout.name: LayoutCodec(layout) for layout in DOWNLINK_LAYOUTS}
+_ENCOUNTERS = _UPLINKS["EncounterBatch"]
+_ENCOUNTERS_WITH_PATHS = _UPLINKS["EncounterBatchWithPaths"]
+_NEIGHBOURS = _UPLINKS["Neighbours"]
+_DIAGNOSTIC = _UPLINKS["Diagnostic"]
+
+_OPEN_READERS: dict[str, _Read] = {
+    "EncounterBatch": _ENCOUNTERS.read_entries,
+    "EncounterBatchWithPaths": _ENCOUNTERS_WITH_PATHS.read_entries,
+    "Neighbours": _read_neighbours,
+    "Diagnostic": _DIAGNOSTIC.read_text,
+}
+_OPEN_BUILDERS: dict[str, _Build] = {
+    "EncounterBatch": _build_encounters,
+    "EncounterBatchWithPaths": _build_encounters_with_paths,
+    "Neighbours": _build_neighbours,
+    "Diagnostic": _build_diagnostic,
+}
+_OPEN_WRITERS: dict[str, Callable[[Any], bytes]] = {
+    "EncounterBatch": _write_encounters,
+    "EncounterBatchWithPaths": _write_encounters_with_paths,
+    "Neighbours": _write_neighbours,
+    "Diagnostic": _write_diagnostic,
+}
 
 
-def _encode_stimulate_reply(message: StimulateReply) -> bytes:
-    return _pack(_STIMULATE_REPLY, "stimulate reply", message.command, message.result, message.executed_ms, message.mode)
+def _kind_of(codec: LayoutCodec) -> int:
+    assert codec.layout.kind is not None, "only the two headers have no type byte"
+    return codec.layout.kind
 
 
-def _decode_stimulate_reply(body: bytes) -> StimulateReply:
-    command, result, executed_ms, mode = _STIMULATE_REPLY.unpack(body)
-    return StimulateReply(command=command, result=StimulationResult(result), executed_ms=Milliseconds(executed_ms), mode=WireMode(mode))
-
-
-def _encode_hello_request(_message: HelloRequest) -> bytes:
-    return b""
-
-
-def _decode_hello_request(body: bytes) -> HelloRequest:
-    if body:
-        raise struct.error
-    return HelloRequest()
-
-
-def _encode_acknowledge(message: Acknowledge) -> bytes:
-    return _pack(_ACKNOWLEDGE, "acknowledge", message.boot, message.next_sequence, message.bitmap)
-
-
-def _decode_acknowledge(body: bytes) -> Acknowledge:
-    boot, next_sequence, bitmap = _ACKNOWLEDGE.unpack(body)
-    return Acknowledge(boot=BootId(boot), next_sequence=next_sequence, bitmap=bitmap)
-
-
-def _encode_time_sync_request(message: TimeSyncRequest) -> bytes:
-    return _pack(_TIME_SYNC_REQUEST, "time sync request", message.token)
-
-
-def _decode_time_sync_request(body: bytes) -> TimeSyncRequest:
-    (token,) = _TIME_SYNC_REQUEST.unpack(body)
-    return TimeSyncRequest(token=token)
-
-
-def _encode_stimulate(message: Stimulate) -> bytes:
-    return _pack(
-        _STIMULATE,
-        "stimulate",
-        message.command,
-        message.action,
-        message.ttl_ms,
-        message.hold_ms,
-        message.frequency_hz,
-        message.pulse_width_us,
-        message.amplitude_mv,
-        message.duration_ms,
-    )
-
-
-def _decode_stimulate(body: bytes) -> Stimulate:
-    command, action, ttl_ms, hold_ms, frequency_hz, pulse_width_us, amplitude_mv, duration_ms = _STIMULATE.unpack(body)
-    return Stimulate(
-        command=command,
-        action=Action(action),
-        ttl_ms=ttl_ms,
-        hold_ms=hold_ms,
-        frequency_hz=frequency_hz,
-        pulse_width_us=pulse_width_us,
-        amplitude_mv=amplitude_mv,
-        duration_ms=duration_ms,
-    )
-
-
-# The one table of types. The annotations are loose because a table of different functions has no common argument type.
-_UPLINK_TYPES: tuple[tuple[int, type, Callable[..., bytes], Callable[[bytes], Uplink]], ...] = (
-    (0x01, Hello, _encode_hello, _decode_hello),
-    (0x02, EncounterBatch, _encode_encounters, _decode_encounters),
-    (0x03, Status, _encode_status, _decode_status),
-    (0x04, Neighbours, _encode_neighbours, _decode_neighbours),
-    (0x05, TimeSyncReply, _encode_time_sync_reply, _decode_time_sync_reply),
-    (0x06, StimulateReply, _encode_stimulate_reply, _decode_stimulate_reply),
-)
-_DOWNLINK_TYPES: tuple[tuple[int, type, Callable[..., bytes], Callable[[bytes], Downlink]], ...] = (
-    (0x81, HelloRequest, _encode_hello_request, _decode_hello_request),
-    (0x82, Acknowledge, _encode_acknowledge, _decode_acknowledge),
-    (0x83, TimeSyncRequest, _encode_time_sync_request, _decode_time_sync_request),
-    (0x84, Stimulate, _encode_stimulate, _decode_stimulate),
-)
-_UPLINK_ENCODERS = {cls: (kind, encode) for kind, cls, encode, _ in _UPLINK_TYPES}
-_UPLINK_DECODERS = {kind: decode for kind, _, _, decode in _UPLINK_TYPES}
-_DOWNLINK_ENCODERS = {cls: (kind, encode) for kind, cls, encode, _ in _DOWNLINK_TYPES}
-_DOWNLINK_DECODERS = {kind: decode for kind, _, _, decode in _DOWNLINK_TYPES}
+_UPLINK_READERS = {_kind_of(codec): _OPEN_READERS.get(name) or _fields_reader(codec) for name, codec in _UPLINKS.items()}
+_UPLINK_BUILDERS = {_kind_of(codec): _OPEN_BUILDERS.get(name) or _fields_builder(codec.layout) for name, codec in _UPLINKS.items()}
+_UPLINK_WRITERS = {
+    _class_of(codec.layout): (_kind_of(codec), _OPEN_WRITERS.get(name) or _fields_writer(codec)) for name, codec in _UPLINKS.items()
+}
+_DOWNLINK_READERS = {_kind_of(codec): _fields_reader(codec) for codec in _DOWNLINKS.values()}
+_DOWNLINK_BUILDERS = {_kind_of(codec): _fields_builder(codec.layout) for codec in _DOWNLINKS.values()}
+_DOWNLINK_WRITERS = {_class_of(codec.layout): (_kind_of(codec), _fields_writer(codec)) for codec in _DOWNLINKS.values()}

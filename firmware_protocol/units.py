@@ -20,5 +20,8 @@ Milliseconds = NewType("Milliseconds", int)
 RssiDbm = NewType("RssiDbm", int)
 """Received signal strength [dBm]."""
 
+RSSI_UNKNOWN = RssiDbm(127)
+"""Stands for a signal strength that was not told [dBm]; no radio hears anything so strong."""
+
 NS_PER_MS = 1_000_000
 NS_PER_S = 1_000_000_000

@@ -12,16 +12,36 @@ from firmware_protocol.contract.records import (
     Mode,
     ModeRecord,
 )
-from firmware_protocol.envelope import CoordinatorHello, Envelope, IdentifyRequest, RadioConfirm, RadioReceived, RadioSend
+from firmware_protocol.envelope import (
+    ConfigureCoordinator,
+    CoordinatorConfigured,
+    CoordinatorHello,
+    CoordinatorLog,
+    Envelope,
+    IdentifyRequest,
+    NodeJoined,
+    RadioConfirm,
+    RadioReceived,
+    RadioSend,
+)
 from firmware_protocol.messages import (
     MAX_ENCOUNTER_MS,
+    MAX_PATH_MM,
     Acknowledge,
     Action,
+    ConfigurationReport,
+    ConfigurationRequest,
+    ConfigurationResult,
+    Configure,
+    Diagnostic,
     Downlink,
     EncounterBatch,
+    EncounterBatchWithPaths,
     EncounterEntry,
     Hello,
     HelloRequest,
+    Level,
+    Limits,
     Neighbour,
     Neighbours,
     Status,
@@ -32,6 +52,7 @@ from firmware_protocol.messages import (
     TimeSyncRequest,
     Uplink,
     UplinkHeader,
+    Waveform,
     WireCause,
     WireMode,
 )
@@ -51,14 +72,29 @@ frame_bodies = st.binary(min_size=1, max_size=250)
 
 uplink_headers = st.builds(UplinkHeader, node=nodes, boot=boots, sequence=u16, sent_ms=ticks)
 
-encounter_entries = st.builds(
-    EncounterEntry,
-    peer=nodes,
-    start_ms=ticks,
-    duration_ms=st.integers(0, MAX_ENCOUNTER_MS).map(Milliseconds),
-    rssi_dbm=rssi,
-    is_ongoing=st.booleans(),
-)
+_entry = {
+    "peer": nodes,
+    "start_ms": ticks,
+    "duration_ms": st.integers(0, MAX_ENCOUNTER_MS).map(Milliseconds),
+    "rssi_dbm": rssi,
+    "is_ongoing": st.booleans(),
+}
+encounter_entries = st.builds(EncounterEntry, **_entry)
+encounter_entries_with_paths = st.builds(EncounterEntry, **_entry, path_mm=st.none() | st.integers(0, MAX_PATH_MM))
+configurations = {
+    "token": u16,
+    "beacon_period_ms": u16,
+    "rssi_enter_dbm": rssi,
+    "rssi_exit_dbm": rssi,
+    "gap_tolerance_ms": u16,
+    "report_period_ms": u16,
+}
+versions = st.integers(1, 255)
+
+
+def short_texts(limit: int) -> st.SearchStrategy[str]:
+    """Return texts of at most ``limit`` octets of UTF-8."""
+    return st.text(max_size=limit).filter(lambda text: len(text.encode(errors="replace")) <= limit)
 
 
 @st.composite
@@ -70,7 +106,7 @@ def neighbour_parts(draw: st.DrawFn) -> Neighbours:
 
 
 uplinks: st.SearchStrategy[Uplink] = st.one_of(
-    st.builds(Hello, eui64=u64, firmware=u16, beacon_period_ms=u16, capabilities=u16),
+    st.builds(Hello, eui64=u64, firmware=u16, beacon_period_ms=u16, capabilities=u16, newest_version=versions),
     st.builds(EncounterBatch, entries=st.lists(encounter_entries, min_size=1, max_size=4).map(tuple)),
     st.builds(
         Status,
@@ -84,10 +120,27 @@ uplinks: st.SearchStrategy[Uplink] = st.one_of(
     neighbour_parts(),
     st.builds(TimeSyncReply, token=u16, received_ms=ticks),
     st.builds(StimulateReply, command=u32, result=st.sampled_from(StimulationResult), executed_ms=ticks, mode=st.sampled_from(WireMode)),
+    st.builds(
+        Limits,
+        channels=u8,
+        waveforms=u8,
+        max_frequency_hz=u8,
+        max_pulse_width_us=u16,
+        max_amplitude_mv=u16,
+        max_duration_ms=u16,
+        min_gap_ms=u16,
+        max_on_ms_per_minute=u16,
+        battery_mv=u16,
+        battery_empty_mv=u16,
+        encounter_capacity=u16,
+    ),
+    st.builds(EncounterBatchWithPaths, entries=st.lists(encounter_entries_with_paths, min_size=1, max_size=3).map(tuple)),
+    st.builds(Diagnostic, level=st.sampled_from(Level), code=u16, argument=u32, at_ms=ticks, text=short_texts(32)),
+    st.builds(ConfigurationReport, **configurations, result=st.sampled_from(ConfigurationResult)),
 )
 
 downlinks: st.SearchStrategy[Downlink] = st.one_of(
-    st.just(HelloRequest()),
+    st.builds(HelloRequest, newest_version=versions),
     st.builds(Acknowledge, boot=boots, next_sequence=u16, bitmap=u32),
     st.builds(TimeSyncRequest, token=u16),
     st.builds(
@@ -100,7 +153,11 @@ downlinks: st.SearchStrategy[Downlink] = st.one_of(
         pulse_width_us=u16,
         amplitude_mv=u16,
         duration_ms=u16,
+        channel=u8,
+        waveform=st.sampled_from(Waveform),
     ),
+    st.builds(Configure, **configurations),
+    st.builds(ConfigurationRequest, token=u16),
 )
 
 radio_payloads = st.binary(max_size=57)
@@ -110,6 +167,10 @@ envelopes: st.SearchStrategy[Envelope] = st.one_of(
     st.builds(RadioSend, handle=u16, destination=u16.map(ShortAddress), payload=radio_payloads),
     st.builds(RadioConfirm, handle=u16, status=u8),
     st.builds(RadioReceived, source=u16.map(ShortAddress), rssi_dbm=rssi, lqi=u8, payload=radio_payloads),
+    st.builds(CoordinatorLog, level=st.integers(0, 3), code=u16, text=short_texts(58)),
+    st.builds(ConfigureCoordinator, token=u16, pan_id=u16, channel=u8, permit_join_s=u8),
+    st.builds(CoordinatorConfigured, token=u16, result=st.integers(0, 2), pan_id=u16, channel=u8, permit_join_s=u8),
+    st.builds(NodeJoined, address=u16.map(ShortAddress), eui64=u64),
 )
 
 _heads = {

@@ -1,12 +1,16 @@
 """Native framing: COBS with a zero delimiter and CRC-16 (WIRE_FORMAT.md §2).
 
 On the line: ``COBS(body + CRC-16) 00``. A sender may put a 00 in front as well, so that noise before a frame costs that
-frame nothing. Pure: bytes go in, frames and faults come out; the buffer is bounded.
+frame nothing. Pure: bytes go in, frames and faults come out; the buffer is bounded. The stuffing itself is the ``cobs`` package's, which
+is in C where it can be and has the verdicts of the plain decoder in the tests.
 """
 
+from binascii import crc_hqx
 from dataclasses import dataclass, field
 
-from firmware_protocol.crc import append_crc, strip_crc
+from cobs import cobs
+
+from firmware_protocol.crc import CRC_INITIAL, CRC_SIZE, append_crc
 from firmware_protocol.errors import EncodeError
 from firmware_protocol.framing.interface import FrameFault
 
@@ -16,8 +20,7 @@ MAX_BODY_SIZE = 250
 MAX_ENCODED_SIZE = MAX_BODY_SIZE + 2 + 1
 """Longest run between two delimiters: body, CRC, one COBS code byte (252 bytes need no second one)."""
 
-_DELIMITER = 0
-_MAX_BLOCK = 254
+MIN_DECODED_SIZE = 1 + CRC_SIZE
 
 
 def encode_frame(body: bytes) -> bytes:
@@ -30,39 +33,8 @@ def encode_frame(body: bytes) -> bytes:
     """
     if not 1 <= len(body) <= MAX_BODY_SIZE:
         raise EncodeError(field="frame body size", value=len(body), limit=f"1 to {MAX_BODY_SIZE} bytes")
-    return b"\x00" + cobs_encode(append_crc(body)) + b"\x00"
-
-
-def cobs_encode(data: bytes) -> bytes:
-    """Return ``data`` with every zero byte replaced, by consistent overhead byte stuffing [CB99]."""
-    out = bytearray()
-    for part in data.split(b"\x00"):
-        rest = part
-        while len(rest) >= _MAX_BLOCK:
-            out.append(_MAX_BLOCK + 1)
-            out += rest[:_MAX_BLOCK]
-            rest = rest[_MAX_BLOCK:]
-        out.append(len(rest) + 1)
-        out += rest
-    return bytes(out)
-
-
-def cobs_decode(data: bytes) -> bytes | None:
-    """Return what ``cobs_encode`` was given, or None where ``data`` is no such thing."""
-    out = bytearray()
-    at = 0
-    while at < len(data):
-        code = data[at]
-        end = at + code
-        if code == _DELIMITER or end > len(data):
-            return None
-        out += data[at + 1 : end]
-        if code <= _MAX_BLOCK and end < len(data):
-            out.append(0)
-        at = end
-    if 0 in data:
-        return None
-    return bytes(out)
+    stuffed: bytes = cobs.encode(append_crc(body))
+    return b"\x00" + stuffed + b"\x00"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -80,13 +52,18 @@ class CobsDecoder:
         """Take the next bytes of the stream; return the bodies and faults they complete, in order."""
         results: list[bytes | FrameFault] = []
         *complete, rest = chunk.split(b"\x00")
-        for piece in complete:
-            self._take(piece, results)
-            if self._is_discarding:
-                self._is_discarding = False
-            elif self._buffer:
+        if complete and (self._buffer or self._is_discarding):
+            self._take(complete[0], results)
+            if self._buffer:
                 results.append(_decode_body(bytes(self._buffer)))
-            self._buffer.clear()
+                self._buffer.clear()
+            self._is_discarding = False
+            del complete[0]
+        for piece in complete:
+            if len(piece) > MAX_ENCODED_SIZE:
+                results.append(FrameFault.TOO_LONG)
+            elif piece:
+                results.append(_decode_body(piece))
         self._take(rest, results)
         return results
 
@@ -102,10 +79,12 @@ class CobsDecoder:
 
 
 def _decode_body(encoded: bytes) -> bytes | FrameFault:
-    stuffed = cobs_decode(encoded)
-    if stuffed is None:
+    try:
+        stuffed: bytes = cobs.decode(encoded)
+    except cobs.DecodeError:
         return FrameFault.BAD_STUFFING
-    if len(stuffed) < 3:
+    if len(stuffed) < MIN_DECODED_SIZE:
         return FrameFault.TOO_SHORT
-    body = strip_crc(stuffed)
-    return FrameFault.BAD_CRC if body is None else body
+    return (
+        FrameFault.BAD_CRC if crc_hqx(stuffed, CRC_INITIAL) else stuffed[:-CRC_SIZE]
+    )  # a CRC without final XOR of data and its own CRC is zero

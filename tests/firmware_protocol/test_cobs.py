@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,8 +15,6 @@ from firmware_protocol.framing.cobs import (
     MAX_BODY_SIZE,
     MAX_ENCODED_SIZE,
     CobsDecoder,
-    cobs_decode,
-    cobs_encode,
     encode_frame,
 )
 from firmware_protocol.framing.interface import FrameFault
@@ -29,6 +28,56 @@ GOLDEN = [  # the examples of the COBS paper's encoding table, worked by hand
     (b"\x11\x00\x00\x00", b"\x02\x11\x01\x01\x01"),
     (bytes(range(1, 255)), b"\xff" + bytes(range(1, 255)) + b"\x01"),
 ]
+
+
+def cobs_encode(data: bytes) -> bytes:
+    """Stuff plainly, by the paper [CB99]."""
+    out = bytearray()
+    for part in data.split(b"\x00"):
+        rest = part
+        while len(rest) >= 254:
+            out += b"\xff" + rest[:254]
+            rest = rest[254:]
+        out += bytes([len(rest) + 1]) + rest
+    return bytes(out)
+
+
+def cobs_decode(data: bytes) -> bytes | None:
+    """Undo it plainly; None where ``data`` is no such thing."""
+    out = bytearray()
+    at = 0
+    while at < len(data):
+        code = data[at]
+        end = at + code
+        if code == 0 or end > len(data):
+            return None
+        out += data[at + 1 : end]
+        if code <= 254 and end < len(data):
+            out.append(0)
+        at = end
+    return None if 0 in data else bytes(out)
+
+
+def decode_plainly(stream: bytes) -> list[bytes | FrameFault]:
+    """Cut a whole stream at its zeros, one byte after the other."""
+    results: list[bytes | FrameFault] = []
+    run = bytearray()
+    for byte in stream:
+        if byte:
+            run.append(byte)
+            if len(run) == MAX_ENCODED_SIZE + 1:
+                results.append(FrameFault.TOO_LONG)
+            continue
+        if 0 < len(run) <= MAX_ENCODED_SIZE:
+            stuffed = cobs_decode(bytes(run))
+            if stuffed is None:
+                results.append(FrameFault.BAD_STUFFING)
+            elif len(stuffed) < 3:
+                results.append(FrameFault.TOO_SHORT)
+            else:
+                results.append(strip_crc(stuffed) or FrameFault.BAD_CRC)
+        run.clear()
+    return results
 
 
 def test_the_checksum_has_its_published_check_value() -> None:
@@ -59,10 +108,32 @@ def test_golden_stuffing(plain: bytes, stuffed: bytes) -> None:
 
 @given(st.binary(max_size=1000))
 def test_unstuffing_inverts_stuffing_and_leaves_no_zero(data: bytes) -> None:
-    stuffed = cobs_encode(data)
+    stuffed = cobs.encode(data)
 
     assert 0 not in stuffed
-    assert cobs_decode(stuffed) == data
+    assert cobs.decode(stuffed) == cobs_decode(stuffed) == cobs_decode(cobs_encode(data)) == data
+
+
+@given(st.binary(max_size=260) | st.lists(st.integers(0, 6), max_size=260).map(bytes))
+def test_the_package_and_the_plain_decoder_agree_on_what_is_stuffing(data: bytes) -> None:
+    plain = cobs_decode(data)
+
+    if plain is None:
+        with pytest.raises(cobs.DecodeError):
+            cobs.decode(data)
+    else:
+        assert cobs.decode(data) == plain
+
+
+@given(st.lists(frame_bodies.map(encode_frame) | st.binary(max_size=300) | st.just(b"\x01" * 254), max_size=6), st.data())
+def test_any_stream_in_any_chunks_gives_what_the_plain_decoder_says(pieces: list[bytes], draw: st.DataObject) -> None:
+    stream = b"".join(pieces)
+    cuts = sorted(draw.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
+    decoder = CobsDecoder()
+
+    results = [one for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True) for one in decoder.feed(stream[start:end])]
+
+    assert results == decode_plainly(stream)
 
 
 def test_the_example_of_the_wire_format_is_true() -> None:

@@ -223,12 +223,43 @@ def test_opening_anew_reports_what_was_under_way() -> None:
     assert events == [LinkLost(reason=LostReason.PEER_RESET, dropped=(ticket,))]
 
 
-def test_a_reset_of_another_link_version_is_ignored() -> None:
+@pytest.mark.parametrize(("offered", "chosen"), [(b"", 1), (b"\x01", 1), (b"\x02", 1), (b"\xff\x07", 1)])
+def test_a_responder_answers_a_newer_base_station_with_what_both_speak(offered: bytes, chosen: int) -> None:
     dongle = Link(role=Role.RESPONDER)
 
-    assert dongle.receive(b"\x01\x01\x00\x00\x63", now_ns=0) == []
+    assert dongle.receive(b"\x01\x05\x00\x00" + offered, now_ns=0) == [LinkOpened()]
+    assert dongle.take_frames() == [b"\x02\x05\x00\x00" + bytes([chosen])]
+    assert dongle.version == chosen
+    dongle.receive(b"\x01\x05\x00\x00" + offered, now_ns=0)
+    assert dongle.take_frames() == [b"\x02\x05\x00\x00" + bytes([chosen])]
+
+
+def test_a_reset_of_link_version_0_is_ignored() -> None:
+    dongle = Link(role=Role.RESPONDER)
+
+    assert dongle.receive(b"\x01\x01\x00\x00\x00", now_ns=0) == []
     assert dongle.state is LinkState.CLOSED
     assert dongle.n_ignored == 1
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x01"])
+def test_a_base_station_takes_the_version_that_was_chosen(payload: bytes) -> None:
+    base = Link(role=Role.INITIATOR)
+    base.open(session=5, now_ns=0)
+
+    assert base.take_frames() == [b"\x01\x05\x00\x00\x01"]
+    assert base.receive(b"\x02\x05\x00\x00" + payload, now_ns=0) == [LinkOpened()]
+    assert base.version == 1
+
+
+@pytest.mark.parametrize("version", [0, 2])
+def test_a_base_station_ignores_a_version_that_it_did_not_offer(version: int) -> None:
+    base = Link(role=Role.INITIATOR)
+    base.open(session=5, now_ns=0)
+
+    assert base.receive(bytes([2, 5, 0, 0, version]), now_ns=0) == []
+    assert base.state is LinkState.OPENING
+    assert base.n_ignored == 1
 
 
 @given(st.sampled_from(Role), st.booleans(), st.lists(st.binary(max_size=12), max_size=30), st.lists(st.integers(0, 5), max_size=30))
