@@ -1,6 +1,7 @@
 """The gateway's configuration, built once at start and handed down (defaults, TOML, environment, flags)."""
 
 from collections.abc import Mapping
+from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,11 +10,16 @@ import msgspec
 from firmware_protocol.configuration import load_configuration
 from firmware_protocol.contract.keys import check_name
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
+from firmware_protocol.messages import OWN_CHANNEL
 
 ENVIRONMENT_PREFIX = "BIOBOT_GATEWAY"
 
+_LAST_CHANNEL = 7  # WIRE_FORMAT.md §5.8: Limits has eight bits for them
+
 _Seconds = Annotated[float, msgspec.Meta(gt=0, le=86_400)]
 _Count = Annotated[int, msgspec.Meta(ge=1)]
+_Period = Annotated[int, msgspec.Meta(ge=1, le=65_535)]
+_Strength = Annotated[int, msgspec.Meta(ge=-127, le=20)]
 
 
 class LinkTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -62,6 +68,14 @@ class ClockTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     window_s: _Seconds = 300.0
 
 
+class WaveformName(Enum):
+    """Shape of one pulse; see WIRE_FORMAT.md §6.5."""
+
+    SYMMETRIC = "symmetric"
+    ASYMMETRIC = "asymmetric"
+    MONOPHASIC = "monophasic"
+
+
 class StimulationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What may be done to an animal, and how long an answer is waited for.
 
@@ -73,7 +87,11 @@ class StimulationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         They may be made stricter than the defaults, never looser.
     frequency_hz, amplitude_mv, pulse_width_us, duration_ms
         The pulse train. 50 Hz, 2 V bipolar and 0.5 s: Erickson et al., PLoS ONE 2015, e0134348, best of those tried on
-        hissing cockroaches. Pulse width: the middle of the 1-9 ms of the RoboRoach firmware; Erickson gives none.
+        hissing cockroaches. Pulse width, of one phase: the middle of the 1-9 ms of the RoboRoach firmware; Erickson gives none.
+    channel
+        Electrode channel, 0 to 7; 255: the one that the backpack itself uses for each action.
+    waveform
+        symmetric or asymmetric: biphasic, balanced in charge. monophasic: one phase, for electrodes that are known to bear it.
     reply_timeout_s
         A biobot that does not answer for so long has an unknown outcome.
     stop_attempts, stop_retry_s
@@ -90,10 +108,34 @@ class StimulationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     amplitude_mv: Annotated[int, msgspec.Meta(ge=0, le=4000)] = 2000
     pulse_width_us: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 5000
     duration_ms: Annotated[int, msgspec.Meta(ge=0, le=500)] = 500
+    channel: Annotated[int, msgspec.Meta(ge=0, le=255)] = OWN_CHANNEL
+    waveform: WaveformName = WaveformName.SYMMETRIC
     reply_timeout_s: _Seconds = 5.0
     stop_attempts: Annotated[int, msgspec.Meta(ge=1, le=20)] = 5
     stop_retry_s: _Seconds = 1.0
     max_clock_ahead_s: _Seconds = 2.0
+
+
+class BackpackTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How backpacks sense and report encounters; a value that is not given is left as each backpack has it.
+
+    Keys
+    ----
+    beacon_period_ms
+        Pause between two beacons.
+    rssi_enter_dbm, rssi_exit_dbm
+        An encounter begins at a beacon at least as strong as the first, and is kept open by those at least as strong as the second.
+    gap_tolerance_ms
+        An encounter ends when no beacon has kept it open for longer.
+    report_period_ms
+        An encounter waits at most this long for others to share its message.
+    """
+
+    beacon_period_ms: _Period | None = None
+    rssi_enter_dbm: _Strength | None = None
+    rssi_exit_dbm: _Strength | None = None
+    gap_tolerance_ms: _Period | None = None
+    report_period_ms: _Period | None = None
 
 
 class MissionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -138,7 +180,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         Zenoh endpoints, such as ``tcp/127.0.0.1:7447``.
     log_level
         DEBUG, INFO, WARNING or ERROR.
-    link, encounters, clocks, stimulation, mission
+    link, encounters, clocks, stimulation, backpacks, mission
         Tables of their own.
     """
 
@@ -153,6 +195,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     encounters: EncounterTable = EncounterTable()
     clocks: ClockTable = ClockTable()
     stimulation: StimulationTable = StimulationTable()
+    backpacks: BackpackTable = BackpackTable()
     mission: MissionTable = MissionTable()
 
 
@@ -180,7 +223,7 @@ def load_gateway_config(
         environment_prefix=ENVIRONMENT_PREFIX,
         flags=flags,
     )
-    problems = [*_name_problems(config), *_pulse_problems(config.stimulation)]
+    problems = [*_name_problems(config), *_pulse_problems(config.stimulation), *_threshold_problems(config.backpacks)]
     if problems:
         raise ConfigurationError(problems)
     return config
@@ -197,9 +240,22 @@ def _name_problems(config: GatewayConfig) -> list[str]:
 
 
 def _pulse_problems(table: StimulationTable) -> list[str]:
-    # A bipolar pulse has two phases of the pulse width each; both must fit into one period.
+    problems = []
+    # Every phase of a pulse has the pulse width, or more where it is the weaker one; all of them must fit into one period.
+    n_phases = 1 if table.waveform is WaveformName.MONOPHASIC else 2
     period_us = 1_000_000 // table.frequency_hz
-    if 2 * table.pulse_width_us <= period_us:
+    if n_phases * table.pulse_width_us > period_us:
+        phases = "one phase" if n_phases == 1 else "two phases"
+        limit = f"{phases} must fit into the {period_us} us period of {table.frequency_hz} Hz: at most {period_us // n_phases}"
+        problems.append(f"stimulation.pulse_width_us is {table.pulse_width_us}, but {limit}")
+    if _LAST_CHANNEL < table.channel < OWN_CHANNEL:
+        limit = f"a backpack has channels 0 to {_LAST_CHANNEL}; {OWN_CHANNEL} leaves it to the backpack"
+        problems.append(f"stimulation.channel is {table.channel}, but {limit}")
+    return problems
+
+
+def _threshold_problems(table: BackpackTable) -> list[str]:
+    if table.rssi_enter_dbm is None or table.rssi_exit_dbm is None or table.rssi_exit_dbm <= table.rssi_enter_dbm:
         return []
-    limit = f"two phases must fit into the {period_us} us period of {table.frequency_hz} Hz: at most {period_us // 2}"
-    return [f"stimulation.pulse_width_us is {table.pulse_width_us}, but {limit}"]
+    limit = f"it must not be above backpacks.rssi_enter_dbm = {table.rssi_enter_dbm}, or encounters would end as they begin"
+    return [f"backpacks.rssi_exit_dbm is {table.rssi_exit_dbm}, but {limit}"]

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from firmware_protocol.contract.records import EncounterRecord, EncounterSide
 from firmware_protocol.units import NS_PER_MS, BootId, Nanoseconds, NodeId, RssiDbm
 from gateway.issuer import RecordIssuer
+from gateway.radio import strongest
 
 MAX_ERROR_MARGIN_NS = 100 * NS_PER_MS
 """A clock that is known badly widens a margin no further: separate meetings must not be joined for want of a time sync."""
@@ -32,6 +33,8 @@ class SideReport:
     rssi_dbm: RssiDbm
     is_ongoing: bool
     margin_ns: int
+    path_mm: int | None = None
+    """Path since the start of the biobot's encounter before [mm]."""
 
 
 def margin_of(*, beacon_period_ms: int, error_ns: int) -> int:
@@ -151,7 +154,13 @@ class EncounterMerger:
             return self.issuer.to_own_monotonic_ns(t_ns, anchor_ns=record.wall_anchor_ns)
 
         sides = tuple(
-            EncounterSide(node=side.node, t_start_ns=here(side.t_start_ns), t_end_ns=here(side.t_end_ns), rssi_dbm=side.rssi_dbm)
+            EncounterSide(
+                node=side.node,
+                t_start_ns=here(side.t_start_ns),
+                t_end_ns=here(side.t_end_ns),
+                rssi_dbm=side.rssi_dbm,
+                path_mm=side.path_mm,
+            )
             for side in record.sides
         )
         start_ns, end_ns = here(record.t_start_ns), here(record.t_end_ns)
@@ -205,7 +214,9 @@ def _pair_of(node: NodeId, peer: NodeId) -> _Pair:
 
 
 def _span_of(report: SideReport) -> _Span:
-    side = EncounterSide(node=report.node, t_start_ns=report.t_start_ns, t_end_ns=report.t_end_ns, rssi_dbm=report.rssi_dbm)
+    side = EncounterSide(
+        node=report.node, t_start_ns=report.t_start_ns, t_end_ns=report.t_end_ns, rssi_dbm=report.rssi_dbm, path_mm=report.path_mm
+    )
     return _Span(
         t_start_ns=report.t_start_ns,
         t_end_ns=report.t_end_ns,
@@ -218,9 +229,16 @@ def _span_of(report: SideReport) -> _Span:
 
 
 def _join_sides(one: EncounterSide, other: EncounterSide) -> EncounterSide:
+    first = min(one, other, key=_path_order)
     return EncounterSide(
         node=one.node,
-        t_start_ns=min(one.t_start_ns, other.t_start_ns),
+        t_start_ns=first.t_start_ns,
         t_end_ns=max(one.t_end_ns, other.t_end_ns),
-        rssi_dbm=max(one.rssi_dbm, other.rssi_dbm),
+        rssi_dbm=strongest(one.rssi_dbm, other.rssi_dbm),
+        path_mm=first.path_mm,
     )
+
+
+def _path_order(side: EncounterSide) -> tuple[int, bool, int]:
+    """Order sides by which of them has the path to the meeting: the one that began first; of two, one that knows it, then the shorter."""
+    return (side.t_start_ns, side.path_mm is None, side.path_mm or 0)

@@ -17,9 +17,13 @@ from firmware_protocol.contract.records import Cause, EncounterRecord, JournalRe
 from firmware_protocol.message_codec import decode_uplink
 from firmware_protocol.messages import (
     BROADCAST_NODE,
+    ConfigurationReport,
+    Diagnostic,
     EncounterBatch,
+    EncounterBatchWithPaths,
     EncounterEntry,
     Hello,
+    Limits,
     MessageFault,
     Neighbours,
     Status,
@@ -72,6 +76,8 @@ class IntakeListeners:
     on_reply: Callable[[NodeId, StimulateReply], None]
     on_duplicate: Callable[[NodeId, int, int], None]
     """A biobot's number came with one EUI-64 and then with another."""
+    on_diagnostic: Callable[[NodeId, Diagnostic], None]
+    on_configuration: Callable[[NodeId, ConfigurationReport], None]
     on_unknown_clock: Callable[[], None]
     """Told at once: a report was not taken because its backpack's clock is not known yet."""
 
@@ -136,7 +142,7 @@ class Intake:
             is_ours = self._clocks.end_exchange(node=header.node, boot=header.boot, token=uplink.token, arrived_ms=uplink.received_ms)
             self._health.count("message.time_sync_reply" if is_ours else "message.time_sync_unexpected")
             return None
-        if isinstance(uplink, EncounterBatch | Status) and self._must_wait(clock, now_ns=message.received_ns):
+        if isinstance(uplink, EncounterBatch | EncounterBatchWithPaths | Status) and self._must_wait(clock, now_ns=message.received_ns):
             # Not acknowledged, so it comes again: a second later its times can be trusted.
             self._health.count("message.clock_unknown")
             self._listeners_or_fail().on_unknown_clock()
@@ -151,7 +157,7 @@ class Intake:
         life.received.add(number)
         self._health.count(f"message.{type(uplink).__name__.lower()}")
         records, tell = self._digest(uplink, header=header, node=node, clock=clock, number=number)
-        if isinstance(uplink, Hello):
+        if isinstance(uplink, Hello | Limits):
             is_changed = True
         write = JournalWrite(
             records=records,
@@ -236,19 +242,9 @@ class Intake:
     ) -> tuple[tuple[JournalRecord, ...], Callable[[IntakeListeners], None] | None]:
         """Return the records that a message brings about, and whom to tell of it after the commit."""
         match uplink:
-            case Hello():
-                other = self._nodes.introduce(node, uplink)
-                tell_status = self._tell_status(node)
-                if other is None:
-                    return (), tell_status
-
-                def tell(listeners: IntakeListeners) -> None:
-                    listeners.on_duplicate(header.node, other, uplink.eui64)
-                    if tell_status is not None:
-                        tell_status(listeners)
-
-                return (), tell
-            case EncounterBatch(entries=entries):
+            case Hello() | Limits() | Diagnostic() | ConfigurationReport():
+                return (), self._hear(uplink, node=node, number=number)
+            case EncounterBatch(entries=entries) | EncounterBatchWithPaths(entries=entries):
                 return tuple(record for entry in entries for record in self._merge(entry, header=header, node=node, clock=clock)), None
             case Status():
                 is_newest = self._nodes.take_status(node, uplink, number=number)
@@ -265,6 +261,33 @@ class Intake:
                 return records, lambda listeners: listeners.on_reply(header.node, uplink)
             case TimeSyncReply():
                 return (), None  # not kept by backpacks, and taken before
+
+    def _hear(
+        self, said: Hello | Limits | Diagnostic | ConfigurationReport, *, node: Node, number: int
+    ) -> Callable[[IntakeListeners], None] | None:
+        """Take note of what a backpack says of itself; return whom to tell."""
+        tellers: list[Callable[[IntakeListeners], None]] = []
+        match said:
+            case Hello():
+                other = self._nodes.introduce(node, said)
+                if other is not None:
+                    tellers.append(lambda listeners: listeners.on_duplicate(node.node, other, said.eui64))
+            case Limits():
+                self._nodes.take_limits(node, said)
+            case Diagnostic():
+                return lambda listeners: listeners.on_diagnostic(node.node, said)
+            case ConfigurationReport():
+                self._nodes.take_configuration(node, said, number=number)
+                tellers.append(lambda listeners: listeners.on_configuration(node.node, said))
+        tell_status = self._tell_status(node)
+        if tell_status is not None:
+            tellers.append(tell_status)
+
+        def tell(listeners: IntakeListeners) -> None:
+            for one in tellers:
+                one(listeners)
+
+        return tell
 
     def _tell_status(self, node: Node) -> Callable[[IntakeListeners], None] | None:
         status = self._nodes.status_of(node)
@@ -285,6 +308,7 @@ class Intake:
             error_ns=error_ns,
             rssi_dbm=entry.rssi_dbm,
             is_ongoing=entry.is_ongoing,
+            path_mm=entry.path_mm,
             margin_ns=margin_of(beacon_period_ms=node.beacon_period_ms, error_ns=error_ns),
         )
         if report.t_start_ns - report.margin_ns <= self._horizon_ns:

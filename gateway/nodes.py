@@ -5,9 +5,28 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from firmware_protocol.contract.records import Cause, Mode, NeighbourEntry, NeighbourReport, NodeStatus
-from firmware_protocol.messages import Hello, Neighbours, Status, WireCause, WireMode
+from firmware_protocol.contract.records import (
+    BackpackConfiguration,
+    BackpackLimits,
+    Cause,
+    Mode,
+    NeighbourEntry,
+    NeighbourReport,
+    NodeStatus,
+)
+from firmware_protocol.messages import (
+    LEAVE_PERIOD,
+    LEAVE_RSSI,
+    ConfigurationReport,
+    Hello,
+    Limits,
+    Neighbours,
+    Status,
+    WireCause,
+    WireMode,
+)
 from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from gateway.radio import strongest
 
 _PENDING_PARTS = 33
 """A neighbour report cannot have more parts under way than a backpack has messages outstanding (WIRE_FORMAT.md §5.1)."""
@@ -29,6 +48,8 @@ class NodeMemory(msgspec.Struct, frozen=True, kw_only=True):
     beacon_period_ms: int
     capabilities: int
     is_introduced: bool
+    limits: Limits | None = None
+    """As last announced, by this boot or an earlier one: they bound what is sent until the next announcement."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -54,6 +75,10 @@ class Node:
     neighbours: tuple[NeighbourEntry, ...] | None = None
     neighbours_number: int | None = None
     parts: dict[int, tuple[int, Neighbours]] = field(default_factory=dict)
+    limits: Limits | None = None
+    configuration: ConfigurationReport | None = None
+    """As last told in this boot, and the unwrapped number of the message."""
+    configuration_number: int | None = None
 
     def memory(self) -> NodeMemory:
         """Return what is to be kept of it over a restart."""
@@ -67,6 +92,7 @@ class Node:
             beacon_period_ms=self.beacon_period_ms,
             capabilities=self.capabilities,
             is_introduced=self.is_introduced,
+            limits=self.limits,
         )
 
 
@@ -108,7 +134,8 @@ class NodeBook:
         if known.boot != boot:
             known.is_introduced = False
             known.parts.clear()
-            known.status_number = known.neighbours_number = None
+            known.status_number = known.neighbours_number = known.configuration_number = None
+            known.configuration = None
             known.boot = boot
         known.radio, known.address = radio, address
         known.last_heard_ns, known.last_heard_wall_ns = now_ns, now_wall_ns
@@ -143,6 +170,10 @@ class NodeBook:
             buffered=status.buffered,
             dropped=status.dropped,
             firmware=node.firmware,
+            capabilities=node.capabilities,
+            limits=None if node.limits is None else _limits_record(node.limits),
+            configuration=None if node.configuration is None else configuration_of(node.configuration),
+            encounter_capacity=0 if node.limits is None else node.limits.encounter_capacity,
         )
 
     def take_status(self, node: Node, status: Status, *, number: int) -> bool:
@@ -151,6 +182,15 @@ class NodeBook:
             return False
         node.status, node.status_number = status, number
         return True
+
+    def take_limits(self, node: Node, limits: Limits) -> None:
+        """Take what a backpack announces; it holds until the next announcement, also over restarts of backpack and gateway."""
+        node.limits = limits
+
+    def take_configuration(self, node: Node, report: ConfigurationReport, *, number: int) -> None:
+        """Take a configuration report by the unwrapped number of its message; one older than what is known changes nothing."""
+        if node.configuration_number is None or number > node.configuration_number:
+            node.configuration, node.configuration_number = report, number
 
     def introduce(self, node: Node, hello: Hello) -> int | None:
         """Take note of a biobot's hello.
@@ -195,10 +235,10 @@ class NodeBook:
         if node.neighbours_number is not None and first < node.neighbours_number:
             return None  # it was repeated, and a later report came before it
         node.neighbours_number = first + part.n_parts - 1
-        strongest: dict[NodeId, RssiDbm] = {}
+        heard: dict[NodeId, RssiDbm] = {}
         for one in (neighbour for member in found for neighbour in member.neighbours):
-            strongest[one.node] = max(one.rssi_dbm, strongest.get(one.node, one.rssi_dbm))
-        node.neighbours = tuple(NeighbourEntry(node=other, rssi_dbm=strongest[other]) for other in sorted(strongest))
+            heard[one.node] = strongest(one.rssi_dbm, heard.get(one.node, one.rssi_dbm))
+        node.neighbours = tuple(NeighbourEntry(node=other, rssi_dbm=heard[other]) for other in sorted(heard))
         return NeighbourReport(gateway=self.gateway, node=node.node, wall_ns=wall_ns, neighbours=node.neighbours)
 
     def adjacency(self) -> dict[NodeId, frozenset[NodeId]]:
@@ -224,7 +264,27 @@ class NodeBook:
                 firmware=memory.firmware,
                 beacon_period_ms=memory.beacon_period_ms,
                 capabilities=memory.capabilities,
+                limits=memory.limits,
             )
+
+
+def configuration_of(report: ConfigurationReport) -> BackpackConfiguration:
+    """Return the record's form of the values in force."""
+    return BackpackConfiguration(
+        beacon_period_ms=_told(report.beacon_period_ms, LEAVE_PERIOD),
+        rssi_enter_dbm=_told(report.rssi_enter_dbm, LEAVE_RSSI),
+        rssi_exit_dbm=_told(report.rssi_exit_dbm, LEAVE_RSSI),
+        gap_tolerance_ms=_told(report.gap_tolerance_ms, LEAVE_PERIOD),
+        report_period_ms=_told(report.report_period_ms, LEAVE_PERIOD),
+    )
+
+
+def _told(value: int, missing: int) -> int | None:
+    return None if value == missing else value
+
+
+def _limits_record(limits: Limits) -> BackpackLimits:
+    return BackpackLimits(**{name: getattr(limits, name) for name in BackpackLimits.__struct_fields__})
 
 
 def mode_of(mode: WireMode) -> Mode:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from firmware_protocol.envelope import RadioStatus
-from firmware_protocol.units import RssiDbm, ShortAddress
+from firmware_protocol.units import RSSI_UNKNOWN, RssiDbm, ShortAddress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,6 +17,11 @@ class RadioMessage:
     lqi: int
     payload: bytes
     received_ns: int
+
+
+def strongest(*strengths: RssiDbm) -> RssiDbm:
+    """Return the strongest of some signals; one that is not known is none, unless all are."""
+    return max(strengths, key=lambda rssi_dbm: (rssi_dbm != RSSI_UNKNOWN, rssi_dbm))
 
 
 class Fate(Enum):

@@ -11,11 +11,13 @@ from pathlib import Path
 from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, StimulationRequest
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
+from firmware_protocol.messages import Diagnostic, Level
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
 from gateway.bus import Bus, CommandAnswer
 from gateway.clocks import ClockBook
 from gateway.config import GatewayConfig
+from gateway.configurator import Configurator
 from gateway.coordinator import Coordinator
 from gateway.downlink import DownlinkSender
 from gateway.health import Health, RadioState
@@ -30,6 +32,7 @@ from gateway.stimulation import StimulationGate
 from gateway.transports.spec import PortSpec, open_transport, parse_port_spec
 
 _log = EventLog(__name__)
+_SAY = {Level.DEBUG: _log.debug, Level.INFO: _log.info, Level.WARNING: _log.warning, Level.ERROR: _log.error}
 
 _STATUS_PERIOD_S = 1.0
 _FORGET_EVERY = 10
@@ -111,6 +114,14 @@ class Service:
         sender = DownlinkSender(coordinators=coordinators, nodes=nodes)
         acknowledger = Acknowledger(sender=sender, window_of=intake.window_of, health=health)
         inquirer = Inquirer(sender=sender, nodes=nodes, clocks=clocks, sync_period_s=config.clocks.sync_period_s, health=health)
+        configurator = Configurator(
+            sender=sender,
+            nodes=nodes,
+            wanted=config.backpacks,
+            health=health,
+            on_refused=partial(self._on_unconfigured, bus),
+            first_token=journal.identity.first_session,
+        )
         gate = StimulationGate(
             gateway=config.name,
             config=config.stimulation,
@@ -127,6 +138,8 @@ class Service:
                 on_neighbours=bus.publish_neighbours,
                 on_reply=gate.on_reply,
                 on_duplicate=partial(self._on_duplicate, bus),
+                on_diagnostic=partial(self._on_diagnostic, bus),
+                on_configuration=configurator.on_report,
                 on_unknown_clock=inquirer.wake,
             )
         )
@@ -139,6 +152,7 @@ class Service:
                 running.append(tasks.create_task(self._publish_status(bus, intake)))
                 running.append(tasks.create_task(acknowledger.run()))
                 running.append(tasks.create_task(inquirer.run()))
+                running.append(tasks.create_task(configurator.run()))
                 if config.mission.is_enabled:
                     mission = Mission(
                         config=config.mission, issuer=issuer, journal=journal, reader=reader, nodes=nodes, gate=gate, health=health
@@ -187,6 +201,16 @@ class Service:
         facts = {"node": str(node), "eui64_before": f"{before:016x}", "eui64": f"{after:016x}"}
         _log.warning("node.duplicate", **facts)
         self._publish_event(bus, level="warning", kind="node.duplicate", facts=facts)
+
+    def _on_diagnostic(self, bus: Bus, node: NodeId, diagnostic: Diagnostic) -> None:
+        facts = {"node": str(node), "code": str(diagnostic.code), "argument": str(diagnostic.argument), "text": diagnostic.text}
+        _SAY[diagnostic.level]("node.diagnostic", **facts)
+        self._publish_event(bus, level=diagnostic.level.name.lower(), kind="node.diagnostic", facts=facts)
+
+    def _on_unconfigured(self, bus: Bus, node: NodeId, reason: str) -> None:
+        facts = {"node": str(node), "reason": reason}
+        _log.warning("node.not_configured", **facts)
+        self._publish_event(bus, level="warning", kind="node.not_configured", facts=facts)
 
     def _on_journal_fault(self, bus: Bus, reason: str | None) -> None:
         level, kind = ("info", "journal.recovered") if reason is None else ("error", "journal.fault")

@@ -25,7 +25,7 @@ from firmware_protocol.contract.records import (
     encode_record,
 )
 from firmware_protocol.errors import RecordError
-from firmware_protocol.messages import Action, Stimulate, StimulateReply, StimulationResult
+from firmware_protocol.messages import Action, Capability, Stimulate, StimulateReply, StimulationResult
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, Nanoseconds, NodeId
 from gateway.config import StimulationTable
 from gateway.downlink import DownlinkSender
@@ -35,6 +35,7 @@ from gateway.journal import Journal
 from gateway.journal_file import AuditEntry, JournalReader, JournalWrite
 from gateway.log import EventLog
 from gateway.nodes import NodeBook, mode_of
+from gateway.pulse_limits import WAVEFORMS, pulse_refusal
 from gateway.radio import Fate, RadioOutcome
 from gateway.train_ledger import TrainLedger
 
@@ -50,7 +51,6 @@ _MAX_NODE = 0xFFFE  # WIRE_FORMAT.md §1; 0xFFFF is everybody
 _SENT_AGAIN = "sent_again"
 """Audit row of a STOP that was sent once more: a train that counts, and no stage that anybody is told."""
 
-_CAN_BE_STIMULATED = 1  # WIRE_FORMAT.md §5.2, capabilities bit 0
 _ACTIONS = {
     StimulationAction.START: Action.START,
     StimulationAction.STOP: Action.STOP,
@@ -258,7 +258,7 @@ class StimulationGate:
             return f"biobot {request.node} is not known here: {why}"
         if request.action is StimulationAction.STOP:
             return None
-        if node.is_introduced and not node.capabilities & _CAN_BE_STIMULATED:
+        if node.is_introduced and not node.capabilities & Capability.STIMULATION:
             return f"biobot {request.node} cannot be stimulated: its backpack says so"
         if len(self._running) > _MAX_RUNNING:
             return f"{_MAX_RUNNING} commands are under way, the limit; wait for their answers"
@@ -269,7 +269,9 @@ class StimulationGate:
             return f"it is stale: issued {-ahead_ms} ms ago with a time to live of {request.ttl_ms} ms; send it anew"
         if self._journal.fault is not None:
             return f"the journal takes nothing ({self._journal.fault})"
-        return self._ledger.refusal(request.node, train_ms=self._config.duration_ms, now_ns=time.monotonic_ns())
+        refusal = None if node.limits is None else pulse_refusal(self._config, node.limits)
+        train_ms, now_ns = self._config.duration_ms, time.monotonic_ns()
+        return refusal or self._ledger.refusal(request.node, train_ms=train_ms, now_ns=now_ns, announced=node.limits)
 
     def _remaining_ms(self, request: StimulationRequest) -> int:
         age_ms = (self._wall_clock() - request.issued_wall_ns) // NS_PER_MS
@@ -286,6 +288,8 @@ class StimulationGate:
             pulse_width_us=self._config.pulse_width_us,
             amplitude_mv=self._config.amplitude_mv,
             duration_ms=self._config.duration_ms,
+            channel=self._config.channel,
+            waveform=WAVEFORMS[self._config.waveform],
         )
 
     async def _tell(self, command: _Command, stage: Stage, *, reason: str = "", train_ms: int = 0) -> bool:

@@ -182,7 +182,9 @@ _heads = {
     "revision": st.integers(0, 100),
     "wall_anchor_ns": instants,
 }
-sides = st.builds(EncounterSide, node=nodes, t_start_ns=instants, t_end_ns=instants, rssi_dbm=rssi)
+sides = st.builds(
+    EncounterSide, node=nodes, t_start_ns=instants, t_end_ns=instants, rssi_dbm=rssi, path_mm=st.none() | st.integers(0, MAX_PATH_MM)
+)
 journal_records: st.SearchStrategy[JournalRecord] = st.one_of(
     st.builds(
         EncounterRecord,

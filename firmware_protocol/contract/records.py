@@ -73,6 +73,9 @@ class EncounterSide(Struct, frozen=True, kw_only=True):
     t_start_ns: Nanoseconds
     t_end_ns: Nanoseconds
     rssi_dbm: RssiDbm
+    """127: not known."""
+    path_mm: int | None = None
+    """Path that its IMU measured since the start of its encounter before [mm], at most 65,534; None: not known."""
 
 
 class RecordHead(Struct, frozen=True, kw_only=True):
@@ -170,6 +173,31 @@ class GatewayStatus(Struct, frozen=True, kw_only=True):
     counters: dict[str, int]
 
 
+class BackpackLimits(Struct, frozen=True, kw_only=True):
+    """What a backpack says that its stimulator can do and refuses to exceed (WIRE_FORMAT.md §5.8)."""
+
+    channels: _Count
+    """Bit i: electrode channel i is there."""
+    waveforms: _Count
+    """Bit i: waveform i can be made."""
+    max_frequency_hz: _Count
+    max_pulse_width_us: _Count
+    max_amplitude_mv: _Count
+    max_duration_ms: _Count
+    min_gap_ms: _Count
+    max_on_ms_per_minute: _Count
+
+
+class BackpackConfiguration(Struct, frozen=True, kw_only=True):
+    """How a backpack senses and reports encounters now; None: it has no such value, or has not told (WIRE_FORMAT.md §5.11)."""
+
+    beacon_period_ms: int | None = None
+    rssi_enter_dbm: int | None = None
+    rssi_exit_dbm: int | None = None
+    gap_tolerance_ms: int | None = None
+    report_period_ms: int | None = None
+
+
 class NodeStatus(Struct, frozen=True, kw_only=True):
     """Last known state of a biobot; published when it changes and not journaled."""
 
@@ -187,6 +215,12 @@ class NodeStatus(Struct, frozen=True, kw_only=True):
     buffered: _Count
     dropped: _Count
     firmware: _Count = 0
+    capabilities: _Count = 0
+    """Bits of WIRE_FORMAT.md §5.2."""
+    limits: BackpackLimits | None = None
+    configuration: BackpackConfiguration | None = None
+    encounter_capacity: _Count = 0
+    """Encounters that its buffer holds; 0: not known."""
 
 
 class NeighbourEntry(Struct, frozen=True, kw_only=True):

@@ -9,17 +9,21 @@ from dataclasses import dataclass
 
 from firmware_protocol.dialects.interface import (
     CoordinatorIdentified,
+    CoordinatorSaid,
     HostEvent,
     HostLost,
     HostOpened,
     LostWhy,
+    NodeSeen,
     PayloadHeard,
     SendSettled,
 )
 from firmware_protocol.envelope import (
     CoordinatorHello,
+    CoordinatorLog,
     EnvelopeFault,
     IdentifyRequest,
+    NodeJoined,
     RadioConfirm,
     RadioReceived,
     RadioSend,
@@ -179,6 +183,10 @@ class NativeHost:
                     into.append(SendSettled(ticket=ticket, status=status))
             case CoordinatorHello(firmware=firmware):
                 into.append(CoordinatorIdentified(hello=envelope, description=f"native firmware {firmware >> 8}.{firmware & 0xFF}"))
+            case CoordinatorLog(level=level, code=code, text=text):
+                into.append(CoordinatorSaid(level=level, name=f"firmware.{code}", text=text))
+            case NodeJoined(address=address, eui64=eui64):
+                into.append(NodeSeen(address=address, eui64=eui64))
             case EnvelopeFault():
                 self.faults[f"envelope.{envelope.value}"] += 1
             case _:

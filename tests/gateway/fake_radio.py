@@ -30,7 +30,12 @@ from firmware_protocol.message_codec import decode_downlink, encode_uplink
 from firmware_protocol.messages import (
     Acknowledge,
     Action,
+    Capability,
+    ConfigurationReport,
+    ConfigurationResult,
+    Configure,
     EncounterBatch,
+    EncounterBatchWithPaths,
     EncounterEntry,
     Hello,
     HelloRequest,
@@ -67,6 +72,9 @@ class FakeBackpack:
     obeyed: list[Stimulate] = field(default_factory=list)
     heard: list[Stimulate] = field(default_factory=list)
     hellos: int = 0
+    capabilities: Capability = Capability.STIMULATION
+    configured: list[Configure] = field(default_factory=list)
+    configuration_result: ConfigurationResult = ConfigurationResult.DONE
     _sequence: int = 0
     _waiting: deque[Uplink] = field(default_factory=deque)
     _outbox: dict[int, Uplink] = field(default_factory=dict)
@@ -88,22 +96,23 @@ class FakeBackpack:
 
     def say_hello(self) -> None:
         self.hellos += 1
-        self.say(Hello(eui64=0xE000 + self.node, firmware=0x0102, beacon_period_ms=0, capabilities=1))
+        self.say(Hello(eui64=0xE000 + self.node, firmware=0x0102, beacon_period_ms=0, capabilities=self.capabilities))
 
     def say_status(self, *, since_ms: int | None = None) -> None:
         since = Milliseconds(self.now_ms if since_ms is None else since_ms)
         cause = WireCause.COMMAND if self.mode is WireMode.S else WireCause.NATURAL
         self.say(Status(mode=self.mode, cause=cause, mode_since_ms=since, battery_mv=2900, buffered=0, dropped=0))
 
-    def say_encounter(self, peer: NodeId, *, ago_ms: int, duration_ms: int, is_ongoing: bool = False) -> None:
+    def say_encounter(self, peer: NodeId, *, ago_ms: int, duration_ms: int, is_ongoing: bool = False, path_mm: int | None = None) -> None:
         entry = EncounterEntry(
             peer=peer,
             start_ms=Milliseconds(self.now_ms - ago_ms),
             duration_ms=Milliseconds(duration_ms),
             rssi_dbm=RssiDbm(-60),
             is_ongoing=is_ongoing,
+            path_mm=path_mm,
         )
-        self.say(EncounterBatch(entries=(entry,)))
+        self.say(EncounterBatch(entries=(entry,)) if path_mm is None else EncounterBatchWithPaths(entries=(entry,)))
 
     def say_neighbours(self, peers: list[NodeId]) -> None:
         parts = [peers[at : at + 10] for at in range(0, len(peers), 10)] or [[]]
@@ -139,6 +148,8 @@ class FakeBackpack:
                 self._forget(known)
             case Stimulate() as command:
                 self._obey(command)
+            case Configure() as wanted:
+                self._configure(wanted)
 
     def _encode(self, sequence: int, message: Uplink) -> bytes:
         header = UplinkHeader(node=self.node, boot=self.boot, sequence=sequence % 65536, sent_ms=self.now_ms)
@@ -151,6 +162,20 @@ class FakeBackpack:
             ahead = (sequence - known.next_sequence) % 65536
             if ahead >= 32768 or (1 <= ahead <= 32 and known.bitmap >> (ahead - 1) & 1):
                 del self._outbox[sequence]
+
+    def _configure(self, wanted: Configure) -> None:
+        self.configured.append(wanted)
+        self.say(
+            ConfigurationReport(
+                token=wanted.token,
+                result=self.configuration_result,
+                beacon_period_ms=wanted.beacon_period_ms,
+                rssi_enter_dbm=wanted.rssi_enter_dbm,
+                rssi_exit_dbm=wanted.rssi_exit_dbm,
+                gap_tolerance_ms=wanted.gap_tolerance_ms,
+                report_period_ms=wanted.report_period_ms,
+            )
+        )
 
     def _obey(self, command: Stimulate) -> None:
         self.heard.append(command)

@@ -16,6 +16,7 @@ import zenoh
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.records import (
     CommandStage,
+    GatewayEvent,
     GatewayStatus,
     HistoryRequest,
     JournalRecord,
@@ -29,7 +30,7 @@ from firmware_protocol.contract.records import (
     encode_record,
 )
 from firmware_protocol.units import Nanoseconds, NodeId
-from gateway.config import GatewayConfig, LinkTable, MissionTable, StimulationTable
+from gateway.config import BackpackTable, GatewayConfig, LinkTable, MissionTable, StimulationTable
 from gateway.service import Service
 from tests.gateway.fake_radio import until
 
@@ -47,6 +48,7 @@ def a_config(
     *ports: str,
     stimulation: StimulationTable | None = None,
     mission: MissionTable | None = None,
+    backpacks: BackpackTable | None = None,
 ) -> GatewayConfig:
     return GatewayConfig(
         site="test",
@@ -57,6 +59,7 @@ def a_config(
         link=LinkTable(first_backoff_s=0.05, max_backoff_s=0.2),
         stimulation=stimulation or StimulationTable(reply_timeout_s=1.0, stop_retry_s=0.3),
         mission=mission or MissionTable(),
+        backpacks=backpacks or BackpackTable(),
     )
 
 
@@ -86,6 +89,7 @@ class Listener:
         self.node_statuses: list[NodeStatus] = []
         self.gateway_statuses: list[GatewayStatus] = []
         self.neighbours: list[NeighbourReport] = []
+        self.events: list[GatewayEvent] = []
         self._subscribers = [
             session.declare_subscriber(build_key(site="test", stream=stream, gateway=ANY), self._take_batch)
             for stream in (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
@@ -93,6 +97,7 @@ class Listener:
         self._subscribe(build_key(site="test", stream=Stream.STATUS, gateway=ANY, node=ANY), self.node_statuses, NodeStatus)
         self._subscribe(build_key(site="test", stream=Stream.NEIGHBOURS, gateway=ANY, node=ANY), self.neighbours, NeighbourReport)
         self._subscribe(build_key(site="test", stream=Stream.STATUS, gateway=ANY), self.gateway_statuses, GatewayStatus)
+        self._subscribe(build_key(site="test", stream=Stream.EVENTS, gateway=ANY), self.events, GatewayEvent)
 
     @property
     def records(self) -> list[JournalRecord]:

@@ -7,14 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.contract.records import EncounterRecord
-from firmware_protocol.units import NS_PER_MS, Nanoseconds, NodeId, RssiDbm
+from firmware_protocol.units import NS_PER_MS, RSSI_UNKNOWN, Nanoseconds, NodeId, RssiDbm
 from gateway.encounters import EncounterMerger, SideReport, margin_of
 from tests.gateway.makers import an_issuer, newest_encounters
 
 _MS = NS_PER_MS
 
 
-def _report(node: int, peer: int, start: int, end: int, *, margin: int = 5, is_ongoing: bool = False, rssi: int = -60) -> SideReport:
+def _report(
+    node: int, peer: int, start: int, end: int, *, margin: int = 5, is_ongoing: bool = False, rssi: int = -60, path: int | None = None
+) -> SideReport:
     """A report with times in ms."""
     return SideReport(
         node=NodeId(node),
@@ -25,6 +27,7 @@ def _report(node: int, peer: int, start: int, end: int, *, margin: int = 5, is_o
         rssi_dbm=RssiDbm(rssi),
         is_ongoing=is_ongoing,
         margin_ns=margin * _MS,
+        path_mm=path,
     )
 
 
@@ -36,7 +39,9 @@ def _reports(draw: st.DrawFn) -> list[SideReport]:
         start = draw(st.integers(0, 400))
         end = start + draw(st.integers(0, 60))
         margin = draw(st.sampled_from([0, 2, 5, 30]))
-        reports.append(_report(node, peer, start, end, margin=margin, is_ongoing=draw(st.booleans()), rssi=draw(st.integers(-90, -40))))
+        rssi = draw(st.integers(-90, -40) | st.just(RSSI_UNKNOWN))
+        path = draw(st.none() | st.integers(0, 3))
+        reports.append(_report(node, peer, start, end, margin=margin, is_ongoing=draw(st.booleans()), rssi=rssi, path=path))
     return reports
 
 
@@ -168,3 +173,12 @@ def test_what_is_forgotten_and_restored_is_the_same_record() -> None:
     assert len(merger) == 1
     (revised,) = merger.merge(_report(2, 1, 50, 120))
     assert (revised.identity, revised.revision) == (published[0].identity, 1)
+
+
+def test_the_path_to_a_meeting_is_that_of_its_first_report_and_an_unknown_strength_is_no_strength() -> None:
+    merger = EncounterMerger(issuer=an_issuer())
+    merger.merge(_report(1, 2, 100, 200, path=50, rssi=RSSI_UNKNOWN))
+    (grown,) = merger.merge(_report(1, 2, 0, 100, path=700, rssi=-80))
+    assert [(side.path_mm, side.rssi_dbm) for side in grown.sides] == [(700, -80)]
+    (later,) = merger.merge(_report(1, 2, 200, 300, path=20, rssi=-90))
+    assert [(side.path_mm, side.rssi_dbm) for side in later.sides] == [(700, -80)]

@@ -117,6 +117,8 @@ def test_a_late_encounter_is_taken_where_the_journal_cannot_be_read(tmp_path: Pa
                 on_neighbours=lambda _: None,
                 on_reply=lambda _node, _reply: None,
                 on_duplicate=lambda _node, _before, _after: None,
+                on_diagnostic=lambda _node, _diagnostic: None,
+                on_configuration=lambda _node, _report: None,
                 on_unknown_clock=lambda: None,
             )
         )
