@@ -1,4 +1,4 @@
-"""A virtual coordinator dongle of the native dialect (WIRE_FORMAT.md §2 to §4). No I/O, no clock.
+"""A virtual coordinator dongle of the native dialect (WIRE_FORMAT.md §2 to §4), in some framing. No I/O, no clock.
 
 Its memory is bounded. Uplink payloads wait in the link's queue until the base station confirms them; when that is full, while
 no base station is there or its disk stalls, the coordinator takes no more, and the backpacks keep what they have.
@@ -7,6 +7,7 @@ no base station is there or its disk stalls, the coordinator takes no more, and 
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
+from firmware_protocol.dialects.native import COBS, Framing
 from firmware_protocol.envelope import (
     CoordinatorHello,
     Envelope,
@@ -20,8 +21,7 @@ from firmware_protocol.envelope import (
     encode_envelope,
 )
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.framing.cobs import CobsDecoder, encode_frame
-from firmware_protocol.framing.interface import FrameFault
+from firmware_protocol.framing.interface import FrameDecoder, FrameFault
 from firmware_protocol.link import Link, LinkConfig, LinkEvent, LinkOpened, LinkState, PayloadReceived, Role
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD
 from firmware_protocol.units import ShortAddress
@@ -48,16 +48,18 @@ class NativeDongle:
     """See the module. ``requests`` are what the base station wants sent; each must be answered with ``confirm``."""
 
     config: NativeDongleConfig = field(default_factory=NativeDongleConfig)
+    framing: Framing = COBS
     requests: deque[RadioSend] = field(default_factory=deque)
     faults: Counter[str] = field(default_factory=Counter)
     """What came in and was of no use, and what had no room, by name."""
     _link: Link = field(init=False)
-    _decoder: CobsDecoder = field(default_factory=CobsDecoder)
+    _decoder: FrameDecoder = field(init=False)
     _n_in_radio: int = 0
     _has_said_hello: bool = False
 
     def __post_init__(self) -> None:
         self._link = Link(role=Role.RESPONDER, config=self.config.link)
+        self._decoder = self.framing.make_decoder()
 
     @property
     def is_open(self) -> bool:
@@ -78,7 +80,7 @@ class NativeDongle:
 
     def take_bytes(self) -> bytes:
         """Return what is to go out over the serial line; each byte is handed out once."""
-        return b"".join(encode_frame(body) for body in self._link.take_frames())
+        return b"".join(self.framing.encode(body) for body in self._link.take_frames())
 
     def next_deadline_ns(self) -> int | None:
         """Return when ``handle_deadline`` must be called, or None."""
