@@ -245,7 +245,9 @@ def test_a_frame_that_cannot_be_is_refused(frame: CanFrame) -> None:
 
 def test_the_examples_of_the_wire_format_are_true() -> None:
     text = (Path(firmware_protocol.__file__).parent / "WIRE_FORMAT.md").read_text()
-    examples = re.findall(r"unit (\d+), (to|from) the coordinator, body `([0-9A-F ]+)`: identifier `([0-9A-F]{8})`, data `([0-9A-F ]+)`", text)
+    examples = re.findall(
+        r"unit (\d+), (to|from) the coordinator, body `([0-9A-F ]+)`: identifier `([0-9A-F]{8})`, data `([0-9A-F ]+)`", text
+    )
 
     assert len(examples) == 2
     for unit, direction, body, can_id, data in examples:
