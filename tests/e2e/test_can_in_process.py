@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from gateway.transports.spec import open_transport, parse_port_spec
 from simulator.dongles.choice import make_dongle
 from simulator.dongles.interface import Dongle
 from simulator.lines.slcan_port import SlcanEnd
+from tests.gateway.fake_radio import until
 
 NODE = ShortAddress(0x1234)
 EUI64 = 0x00124B00000000AA
@@ -73,15 +74,6 @@ async def running(*tasks: asyncio.Task[None]) -> AsyncIterator[None]:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-
-
-async def until(probe: Callable[[], bool], *, what: str) -> None:
-    try:
-        async with asyncio.timeout(30):
-            while not probe():
-                await asyncio.sleep(0.005)
-    except TimeoutError:
-        pytest.fail(f"{what}: not within 30 s")
 
 
 @pytest.mark.parametrize("is_fd", [False, True])
