@@ -64,7 +64,7 @@ def test_flags_win_over_the_environment_and_that_over_the_file(tmp_path: Path) -
         ("[stimulation]\nmax_trains = 31\n", [], "max_trains"),
         ("[stimulation]\npulse_width_us = 9000\nfrequency_hz = 100\n", [], "two phases must fit"),
         ("name = 'a/b'\n", [], "a gateway name has"),
-        ("", ["--port", "can:can0"], "not in this version"),
+        ("", ["--port", "can:can0"], "must be can:INTERFACE:CHANNEL"),
         ("", ["--port", "tcp:127.0.0.1:1"], "is named twice"),
         ("name = ", [], "not valid TOML"),
     ],
