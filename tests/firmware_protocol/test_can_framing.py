@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import firmware_protocol
@@ -132,6 +132,7 @@ def test_a_part_that_comes_twice_in_a_row_costs_nothing() -> None:
     assert CanDecoder().feed(b"".join(part + part for part in parts)) == [a_body(1)]
 
 
+@settings(max_examples=20)
 @given(st.data())
 def test_messages_of_many_senders_and_priorities_may_be_mixed(draw: st.DataObject) -> None:
     keys = [(unit, direction, kind) for unit in (0, 3, 31) for direction in (UP, DOWN) for kind in (3, 4)]
