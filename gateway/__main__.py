@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_command(commands.add_parser("command", help="command a biobot through a running gateway"))
     status = commands.add_parser("status", help="print what a running gateway says of itself; exit status 1 where none does")
     _add_bus(status)
-    _add_configure(commands.add_parser("configure", help="set the network of a native or CAN coordinator; the gateway must not run"))
+    _add_configure(commands.add_parser("configure", help="set the network of a native or CAN coordinator whose port no gateway holds"))
     return parser
 
 
