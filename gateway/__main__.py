@@ -62,6 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_command(commands.add_parser("command", help="command a biobot through a running gateway"))
     status = commands.add_parser("status", help="print what a running gateway says of itself; exit status 1 where none does")
     _add_bus(status)
+    _add_configure(commands.add_parser("configure", help="set the network of a native or CAN coordinator whose port no gateway holds"))
     return parser
 
 
@@ -80,7 +81,10 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
 
 def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--port", action="append", metavar="SPEC", help="a radio: serial:/dev/ttyACM0?baud=115200 or tcp:HOST:PORT; repeatable"
+        "--port",
+        action="append",
+        metavar="SPEC",
+        help="a radio: serial:/dev/ttyACM0?baud=115200, tcp:HOST:PORT or can:slcan:/dev/ttyACM1?unit=1; repeatable",
     )
     parser.add_argument("--site", help="name of the site in every key (default: local)")
     parser.add_argument("--name", help="name of this gateway in every key (default: gateway1)")
@@ -106,9 +110,32 @@ def _add_command(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ttl-ms", type=int, default=5000, metavar="MS", help="the command is void after this (default: 5000)")
 
 
+def _add_configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--port", required=True, metavar="SPEC", help="the radio, as for run")
+    parser.add_argument("--pan-id", type=_whole_number, metavar="X", help="PAN id, 0x0000 to 0xFFFE (default: leave it)")
+    parser.add_argument("--channel", type=int, metavar="N", help="radio channel, 11 to 26 (default: leave it)")
+    parser.add_argument("--permit-join", type=int, metavar="S", help="let nodes join for S seconds; 0: no more, 254: for good")
+
+
+def _whole_number(text: str) -> int:
+    return int(text, 0)
+
+
+def _configure(options: argparse.Namespace) -> int:
+    from gateway.configuring import configuration_request, configure  # noqa: PLC0415  # not needed by --help
+
+    request = configuration_request(pan_id=options.pan_id, channel=options.channel, permit_join_s=options.permit_join)
+    answer = asyncio.run(configure(parse_port_spec(options.port), request))
+    result = {0: "done", 1: "bad parameter", 2: "not supported"}[answer.result]
+    print(
+        json.dumps({"result": result, "pan_id": f"0x{answer.pan_id:04x}", "channel": answer.channel, "permit_join_s": answer.permit_join_s})
+    )
+    return _DONE if answer.result == 0 else _FAILED
+
+
 def _check_alone(options: argparse.Namespace) -> int:
     if not options.check_config:
-        raise ConfigurationError(["no command: give run, list-ports, command or status; see biobot-gateway --help"])
+        raise ConfigurationError(["no command: give run, list-ports, command, status or configure; see biobot-gateway --help"])
     config = load_gateway_config(toml_path=options.config, environment=os.environ, flags={})
     print(json.dumps(msgspec.to_builtins(config), indent=2))
     return _DONE
@@ -229,6 +256,7 @@ _COMMANDS: dict[str | None, Callable[[argparse.Namespace], int]] = {
     "list-ports": _list_ports,
     "command": _command,
     "status": _status,
+    "configure": _configure,
 }
 
 

@@ -26,7 +26,9 @@ class TransportSpecError(TransportError):
     """A port is named in a way that cannot be opened."""
 
     def __init__(self, *, spec: str, reason: str) -> None:
-        super().__init__(f"port {spec!r}: {reason}; examples: serial:/dev/ttyACM0?baud=115200, tcp:192.168.1.20:6638")
+        super().__init__(
+            f"port {spec!r}: {reason}; examples: serial:/dev/ttyACM0?baud=115200, tcp:192.168.1.20:6638, can:socketcan:can0?unit=1"
+        )
         self.spec = spec
         self.reason = reason
 

@@ -29,6 +29,7 @@ from gateway.log import EventLog
 from gateway.mission import Mission
 from gateway.nodes import NodeBook
 from gateway.stimulation import StimulationGate
+from gateway.transports.can_port import CanBuses
 from gateway.transports.spec import PortSpec, open_transport, parse_port_spec
 
 _log = EventLog(__name__)
@@ -98,11 +99,12 @@ class Service:
             window_s=config.encounters.window_s,
             now_ns=now_ns,
         )
+        can_buses = CanBuses()
         coordinators = {
             name: Coordinator(
                 radio=name,
                 make_host=partial(_make_host, spec.dialect),
-                open_port=partial(open_transport, spec),
+                open_port=partial(open_transport, spec, can_buses=can_buses),
                 on_radio=intake.take,
                 config=config.link,
                 health=health,

@@ -40,7 +40,7 @@ class SystemSettings:
     exploration_s: float = 50.0
     drain_s: float = 10.0
     link: str = "pty"
-    """``pty`` or ``tcp``: what stands between simulator and gateway."""
+    """``pty``, ``tcp`` or ``slcan`` with options, such as ``slcan?fd=1``: what stands between simulator and gateway."""
     http_port: int = 0
     simulator_args: tuple[str, ...] = ()
     gateway_args: tuple[str, ...] = ()
@@ -154,7 +154,8 @@ class RunningSystem:
         settings = self.settings
         settings.out.mkdir(parents=True, exist_ok=True)
         self.bus_endpoint = f"tcp/127.0.0.1:{free_port()}"
-        link = "tcp:127.0.0.1:0" if settings.link == "tcp" else f"pty:{settings.out / 'radio'}"
+        kind, question, options = settings.link.partition("?")
+        link = "tcp:127.0.0.1:0" if kind == "tcp" else f"{kind}:{settings.out / 'radio'}{question}{options}"
         ready = settings.out / "simulator.ready"
         self.start_process("simulator", [
             "simulator", "serve", "--link", link, "--scenario", settings.scenario, "--preset", settings.preset,

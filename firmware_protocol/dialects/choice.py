@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from firmware_protocol.dialects.can import DEFAULT_UNIT, make_can_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.dialects.native import NativeHost
 
@@ -13,9 +14,14 @@ def make_host(dialect: str, *, first_handle: int = 0) -> Host:
 
     Parameters
     ----------
+    dialect
+        ``can`` and ``canfd`` may have a unit number behind them: ``can:7``.
     first_handle
         Where numbers of payloads begin, in dialects that have them: anywhere else than in an earlier process.
     """
+    name, _, unit = dialect.partition(":")
+    if name in CAN_DIALECTS:
+        return make_can_host(unit=int(unit or DEFAULT_UNIT), is_fd=name == "canfd", first_handle=first_handle)
     return _MAKERS[dialect](first_handle)
 
 
@@ -24,4 +30,5 @@ def _make_native(first_handle: int) -> Host:
 
 
 _MAKERS: dict[str, Callable[[int], Host]] = {"native": _make_native}
-DIALECTS = tuple(_MAKERS)
+CAN_DIALECTS = ("can", "canfd")
+DIALECTS = (*_MAKERS, *CAN_DIALECTS)

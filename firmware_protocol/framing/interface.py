@@ -14,6 +14,8 @@ class FrameFault(Enum):
     TOO_LONG = "too_long"
     NOISE = "noise"
     """A run of bytes outside any frame."""
+    INCOMPLETE = "incomplete"
+    """A part of a message that goes in several is missing, or came out of order."""
 
 
 class FrameDecoder(Protocol):

@@ -1,4 +1,4 @@
-"""How a port is named: ``serial:/dev/ttyACM0?baud=115200&dialect=xbee`` or ``tcp:HOST:PORT?dialect=znp``."""
+"""How a port is named: ``serial:/dev/ttyACM0?baud=115200&dialect=xbee``, ``tcp:HOST:PORT?dialect=znp`` or ``can:socketcan:can0?unit=1``."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -6,6 +6,8 @@ from urllib.parse import parse_qsl
 
 from firmware_protocol.dialects.choice import DEFAULT_DIALECT, DIALECTS
 from gateway.errors import TransportSpecError
+from gateway.transports.can_port import CanBuses
+from gateway.transports.can_spec import OPTIONS, CanSpec, read_can_spec
 from gateway.transports.interface import Transport
 from gateway.transports.serial_port import open_serial
 from gateway.transports.tcp import open_tcp
@@ -43,7 +45,7 @@ class TcpSpec:
         return f"tcp:{self.host}:{self.port}"
 
 
-PortSpec: TypeAlias = SerialSpec | TcpSpec
+PortSpec: TypeAlias = SerialSpec | TcpSpec | CanSpec
 
 
 def parse_port_spec(spec: str) -> PortSpec:
@@ -56,18 +58,23 @@ def parse_port_spec(spec: str) -> PortSpec:
     """
     kind, colon, rest = spec.partition(":")
     if not colon:
-        raise TransportSpecError(spec=spec, reason="names no kind of port: it must begin with serial: or tcp:")
+        raise TransportSpecError(spec=spec, reason="names no kind of port: it must begin with serial:, tcp: or can:")
     if kind == "serial":
         return _parse_serial(spec, rest)
     if kind == "tcp":
         return _parse_tcp(spec, rest)
     if kind == "can":
-        raise TransportSpecError(spec=spec, reason="CAN is not in this version")
-    raise TransportSpecError(spec=spec, reason=f"unknown kind {kind!r}: it must be serial or tcp")
+        return read_can_spec(spec, *_split_options(spec, rest, allowed=OPTIONS))
+    raise TransportSpecError(spec=spec, reason=f"unknown kind {kind!r}: it must be serial, tcp or can")
 
 
-async def open_transport(spec: PortSpec) -> Transport:
+async def open_transport(spec: PortSpec, *, can_buses: CanBuses | None = None) -> Transport:
     """Open a port.
+
+    Parameters
+    ----------
+    can_buses
+        The buses that this process has open: coordinators of one bus share it. None: there is no other.
 
     Raises
     ------
@@ -79,6 +86,8 @@ async def open_transport(spec: PortSpec) -> Transport:
             return await open_serial(path=path, baud=baud)
         case TcpSpec(host=host, port=port):
             return await open_tcp(host=host, port=port)
+        case CanSpec():
+            return await (can_buses or CanBuses()).open(spec)
 
 
 def _parse_serial(spec: str, rest: str) -> SerialSpec:

@@ -1,13 +1,19 @@
-"""A virtual coordinator dongle of the native dialect (WIRE_FORMAT.md §2 to §4). No I/O, no clock.
+"""A virtual coordinator dongle of the native dialect (WIRE_FORMAT.md §2 to §4), in some framing. No I/O, no clock.
 
 Its memory is bounded. Uplink payloads wait in the link's queue until the base station confirms them; when that is full, while
 no base station is there or its disk stalls, the coordinator takes no more, and the backpacks keep what they have.
 """
 
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from firmware_protocol.dialects.native import COBS, Framing
 from firmware_protocol.envelope import (
+    LEAVE_CHANNEL,
+    LEAVE_JOINING,
+    LEAVE_PAN_ID,
+    ConfigureCoordinator,
+    CoordinatorConfigured,
     CoordinatorHello,
     Envelope,
     EnvelopeFault,
@@ -20,11 +26,14 @@ from firmware_protocol.envelope import (
     encode_envelope,
 )
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.framing.cobs import CobsDecoder, encode_frame
-from firmware_protocol.framing.interface import FrameFault
+from firmware_protocol.framing.interface import FrameDecoder, FrameFault
 from firmware_protocol.link import Link, LinkConfig, LinkEvent, LinkOpened, LinkState, PayloadReceived, Role
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD
-from firmware_protocol.units import ShortAddress
+from firmware_protocol.units import NS_PER_S, ShortAddress
+
+_CHANNELS = range(11, 27)  # of IEEE 802.15.4 at 2.4 GHz
+_JOINING_FOR_EVER = 254
+_DONE, _BAD_PARAMETER = 0, 1
 
 _RADIO_QUEUE = 64
 _RESERVE = _RADIO_QUEUE + 16
@@ -48,16 +57,20 @@ class NativeDongle:
     """See the module. ``requests`` are what the base station wants sent; each must be answered with ``confirm``."""
 
     config: NativeDongleConfig = field(default_factory=NativeDongleConfig)
+    framing: Framing = COBS
     requests: deque[RadioSend] = field(default_factory=deque)
     faults: Counter[str] = field(default_factory=Counter)
     """What came in and was of no use, and what had no room, by name."""
     _link: Link = field(init=False)
-    _decoder: CobsDecoder = field(default_factory=CobsDecoder)
+    _decoder: FrameDecoder = field(init=False)
     _n_in_radio: int = 0
+    _joining_until_ns: int | None = 0
+    """When the network closes to new nodes; None: never."""
     _has_said_hello: bool = False
 
     def __post_init__(self) -> None:
         self._link = Link(role=Role.RESPONDER, config=self.config.link)
+        self._decoder = self.framing.make_decoder()
 
     @property
     def is_open(self) -> bool:
@@ -78,7 +91,7 @@ class NativeDongle:
 
     def take_bytes(self) -> bytes:
         """Return what is to go out over the serial line; each byte is handed out once."""
-        return b"".join(encode_frame(body) for body in self._link.take_frames())
+        return b"".join(self.framing.encode(body) for body in self._link.take_frames())
 
     def next_deadline_ns(self) -> int | None:
         """Return when ``handle_deadline`` must be called, or None."""
@@ -100,6 +113,26 @@ class NativeDongle:
         """Tell the base station what became of a request; the request leaves the radio's queue."""
         self._n_in_radio -= 1
         self._send(RadioConfirm(handle=handle, status=status), now_ns=now_ns)
+
+    def configure(self, request: ConfigureCoordinator, *, now_ns: int) -> CoordinatorConfigured:
+        """Set the network as asked, all of it or nothing, and return what is in force (§4.7, §4.8)."""
+        is_good = request.channel == LEAVE_CHANNEL or request.channel in _CHANNELS
+        if is_good:
+            pan_id = self.config.pan_id if request.pan_id == LEAVE_PAN_ID else request.pan_id
+            channel = self.config.channel if request.channel == LEAVE_CHANNEL else request.channel
+            self.config = replace(self.config, pan_id=pan_id, channel=channel)
+            if request.permit_join_s == _JOINING_FOR_EVER:
+                self._joining_until_ns = None
+            elif request.permit_join_s != LEAVE_JOINING:
+                self._joining_until_ns = now_ns + request.permit_join_s * NS_PER_S
+        left_s = _JOINING_FOR_EVER if self._joining_until_ns is None else max(0, -((now_ns - self._joining_until_ns) // NS_PER_S))
+        return CoordinatorConfigured(
+            token=request.token,
+            result=_DONE if is_good else _BAD_PARAMETER,
+            pan_id=self.config.pan_id,
+            channel=self.config.channel,
+            permit_join_s=left_s,
+        )
 
     def node_joined(self, address: ShortAddress, *, eui64: int, now_ns: int) -> None:
         """Do nothing: the native dialect of this version does not tell."""
@@ -125,9 +158,11 @@ class NativeDongle:
             case RadioSend():
                 self._n_in_radio += 1
                 self.requests.append(envelope)
+            case ConfigureCoordinator():
+                self._send(self.configure(envelope, now_ns=now_ns), now_ns=now_ns)
             case EnvelopeFault():
                 self.faults[envelope.value] += 1
-            case CoordinatorHello() | RadioConfirm() | RadioReceived():
+            case _:
                 self.faults["wrong_direction"] += 1
 
     def _say_hello(self, now_ns: int) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from simulator.dongles.interface import Dongle
 from simulator.lines.line import LineSpec, SerialEnd
 from simulator.lines.serial_port import SerialPortEnd
+from simulator.lines.slcan_port import SlcanEnd
 from simulator.lines.tcp_port import TcpEnd
 from simulator.lines.virtual_serial import PtyEnd
 from simulator.log import EventLog
@@ -91,5 +92,7 @@ async def open_line(spec: LineSpec) -> SerialEnd:
             return PtyEnd(Path(spec.target), baud=spec.baud)
         case "tcp":
             return await TcpEnd.listen(spec.target, spec.port, baud=spec.baud)
+        case "slcan":
+            return SlcanEnd(Path(spec.target), dialect=spec.dialect)
         case _:
             return SerialPortEnd(spec.target, baud=spec.baud or 115_200)

@@ -18,7 +18,8 @@ from simulator.errors import ParameterError
 _CHUNK = 4096
 _PACED_CHUNK = 64
 _BITS_PER_BYTE = 10  # 8N1: start bit, eight data bits, stop bit
-EXAMPLES = "pty:/tmp/dongle, tcp:127.0.0.1:7000 or serial:/dev/ttyUSB0?baud=115200"
+_MAX_UNIT = 31
+EXAMPLES = "pty:/tmp/dongle, tcp:127.0.0.1:7000, serial:/dev/ttyUSB0?baud=115200 or slcan:/tmp/can?unit=1"
 
 
 class SerialEnd(Protocol):
@@ -50,7 +51,7 @@ class LineSpec:
 
 
 def parse_line(text: str) -> LineSpec:
-    """Read ``pty:PATH``, ``tcp:HOST:PORT`` or ``serial:DEVICE``, each with ``?baud=N&dialect=NAME`` if wanted.
+    """Read ``pty:PATH``, ``tcp:HOST:PORT`` or ``serial:DEVICE`` with ``?baud=N&dialect=NAME`` if wanted, or ``slcan:PATH?unit=N&fd=1``.
 
     Raises
     ------
@@ -62,6 +63,8 @@ def parse_line(text: str) -> LineSpec:
     target, question, query = rest.partition("?")
     if not colon or not target:
         raise wrong
+    if kind == "slcan":
+        return LineSpec(kind=kind, target=target, dialect=_parse_can_options(text, query))
     options = _parse_options(text, query) if question else {}
     baud = int(options["baud"]) if "baud" in options else None
     dialect = options.get("dialect", DEFAULT_DIALECT)
@@ -84,6 +87,16 @@ def _parse_options(text: str, query: str) -> dict[str, str]:
             raise ParameterError(name="link", got=text, wanted=wanted)
         options[key] = value
     return options
+
+
+def _parse_can_options(text: str, query: str) -> str:
+    """Return the dialect of a coordinator behind an slcan adapter."""
+    options = {"unit": "1", "fd": "0"} | dict(option.partition("=")[::2] for option in query.split("&") if option)
+    unit, is_fd = options["unit"], options["fd"]
+    is_unit = unit.isascii() and unit.isdigit() and int(unit) <= _MAX_UNIT
+    if len(options) > 2 or not is_unit or is_fd not in {"0", "1"}:
+        raise ParameterError(name="link", got=text, wanted=f"?unit= with 0 to {_MAX_UNIT}, fd= with 0 or 1, joined by &, and nothing else")
+    return f"{'canfd' if is_fd == '1' else 'can'}:{int(unit)}"
 
 
 class Pacer:

@@ -68,7 +68,7 @@ def test_flags_win_over_the_environment_and_that_over_the_file(tmp_path: Path) -
         ("[backpacks]\nrssi_enter_dbm = -70\nrssi_exit_dbm = -60\n", [], "must not be above backpacks.rssi_enter_dbm = -70"),
         ("[backpacks]\nbeacon_period_ms = 0\n", [], "beacon_period_ms"),
         ("name = 'a/b'\n", [], "a gateway name has"),
-        ("", ["--port", "can:can0"], "not in this version"),
+        ("", ["--port", "can:can0"], "must be can:INTERFACE:CHANNEL"),
         ("", ["--port", "tcp:127.0.0.1:1"], "is named twice"),
         ("name = ", [], "not valid TOML"),
     ],

@@ -136,7 +136,7 @@ def test_port_names_mean_what_they_say() -> None:
     [
         ("/dev/ttyACM0", "names no kind of port"),
         ("usb:0", "unknown kind 'usb'"),
-        ("can:can0", "not in this version"),
+        ("can:can0", "must be can:INTERFACE:CHANNEL"),
         ("serial:", "names no device"),
         ("serial:/dev/x?baud=fast", "baud is 'fast'"),
         ("serial:/dev/x?baud=0", "baud is '0'"),
