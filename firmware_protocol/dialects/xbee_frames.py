@@ -80,7 +80,7 @@ class TransmitRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TransmitStatus:
-    """Say what became of a transmit request (0x8B). ``destination16`` is where it was delivered, 0xFFFD or 0xFFFE where that is not known."""
+    """Say what became of a transmit request (0x8B). ``destination16`` is where it was delivered; 0xFFFD or 0xFFFE: not known."""
 
     frame_id: int
     destination16: int
@@ -151,29 +151,9 @@ def encode_xbee(frame: Frame) -> bytes:
         A value does not fit its field.
     """
     try:
-        match frame:
-            case AtCommand():
-                return _COMMAND.pack(0x08, frame.frame_id, _name(frame.command)) + frame.value
-            case AtResponse():
-                return _RESPONSE.pack(0x88, frame.frame_id, _name(frame.command), frame.status) + frame.value
-            case TransmitRequest(endpoints=None):
-                head = (frame.frame_id, frame.destination64, frame.destination16, frame.radius, frame.options)
-                return _REQUEST.pack(0x10, *head) + frame.payload
-            case TransmitRequest(endpoints=Endpoints() as ends):
-                where = (ends.source, ends.destination, ends.cluster, ends.profile)
-                head = (frame.frame_id, frame.destination64, frame.destination16)
-                return _EXPLICIT_REQUEST.pack(0x11, *head, *where, frame.radius, frame.options) + frame.payload
-            case TransmitStatus():
-                return _STATUS.pack(0x8B, frame.frame_id, frame.destination16, frame.retries, frame.delivery, frame.discovery)
-            case ModemStatus():
-                return _MODEM.pack(0x8A, frame.status)
-            case Receive(endpoints=None):
-                return _RECEIVE.pack(0x90, frame.source64, frame.source16, frame.options) + frame.payload
-            case Receive(endpoints=Endpoints() as ends):
-                where = (ends.source, ends.destination, ends.cluster, ends.profile)
-                return _EXPLICIT_RECEIVE.pack(0x91, frame.source64, frame.source16, *where, frame.options) + frame.payload
-            case NodeIdentification():
-                return _encode_identification(frame)
+        if isinstance(frame, AtCommand | TransmitRequest):
+            return _encode_to_module(frame)
+        return _encode_from_module(frame)
     except struct.error as error:
         raise EncodeError(field=type(frame).__name__, value=frame, limit=str(error)) from error
 
@@ -205,11 +185,39 @@ def decode_xbee(body: bytes) -> Frame | XBeeFault:
 
 
 def unpack_receive(body: bytes) -> tuple[int, int, int, bytes] | None:
-    """Return source64, source16, options and payload of a 0x90 body, or None where it is none; for bulk work, where values cost too much."""
+    """Return source64, source16, options and payload of a 0x90 body, or None where it is none: for bulk work."""
     if body[:1] != b"\x90" or len(body) < _RECEIVE.size:
         return None
     _, source64, source16, options = _RECEIVE.unpack_from(body)
     return source64, source16, options, body[_RECEIVE.size :]
+
+
+def _encode_to_module(frame: ToModule) -> bytes:
+    match frame:
+        case AtCommand():
+            return _COMMAND.pack(0x08, frame.frame_id, _name(frame.command)) + frame.value
+        case TransmitRequest(frame_id=frame_id, destination64=long, destination16=short, endpoints=None):
+            return _REQUEST.pack(0x10, frame_id, long, short, frame.radius, frame.options) + frame.payload
+        case TransmitRequest(frame_id=frame_id, destination64=long, destination16=short, endpoints=Endpoints() as ends):
+            where = (ends.source, ends.destination, ends.cluster, ends.profile)
+            return _EXPLICIT_REQUEST.pack(0x11, frame_id, long, short, *where, frame.radius, frame.options) + frame.payload
+
+
+def _encode_from_module(frame: FromModule) -> bytes:
+    match frame:
+        case AtResponse():
+            return _RESPONSE.pack(0x88, frame.frame_id, _name(frame.command), frame.status) + frame.value
+        case TransmitStatus():
+            return _STATUS.pack(0x8B, frame.frame_id, frame.destination16, frame.retries, frame.delivery, frame.discovery)
+        case ModemStatus():
+            return _MODEM.pack(0x8A, frame.status)
+        case Receive(endpoints=None):
+            return _RECEIVE.pack(0x90, frame.source64, frame.source16, frame.options) + frame.payload
+        case Receive(endpoints=Endpoints() as ends):
+            where = (ends.source, ends.destination, ends.cluster, ends.profile)
+            return _EXPLICIT_RECEIVE.pack(0x91, frame.source64, frame.source16, *where, frame.options) + frame.payload
+        case NodeIdentification():
+            return _encode_identification(frame)
 
 
 def _decode_receive(body: bytes) -> Receive:

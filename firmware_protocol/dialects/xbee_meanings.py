@@ -14,8 +14,6 @@ class Delivery(NamedTuple):
 
     outcome: RadioStatus
     text: str
-    is_of_module: bool = False
-    """It tells of the module or its settings, rather than of one biobot."""
 
 
 DELIVERY = {
@@ -26,22 +24,22 @@ DELIVERY = {
     0x15: Delivery(RadioStatus.UNKNOWN_ADDRESS, "no such endpoint"),
     0x18: Delivery(RadioStatus.QUEUE_FULL, "the module has no free buffer"),
     0x21: Delivery(RadioStatus.NO_ACK, "the node did not acknowledge"),
-    0x22: Delivery(RadioStatus.UNKNOWN_ADDRESS, "the module is in no network", True),
+    0x22: Delivery(RadioStatus.UNKNOWN_ADDRESS, "the module is in no network"),
     0x23: Delivery(RadioStatus.UNKNOWN_ADDRESS, "the address is the module's own"),
     0x24: Delivery(RadioStatus.UNKNOWN_ADDRESS, "the address is not known in the network"),
     0x25: Delivery(RadioStatus.UNKNOWN_ADDRESS, "no route to the node"),
     0x26: Delivery(RadioStatus.NO_ACK, "no neighbour was heard passing the broadcast on"),
     0x2B: Delivery(RadioStatus.UNKNOWN_ADDRESS, "no such entry in the binding table"),
     0x2C: Delivery(RadioStatus.QUEUE_FULL, "the module has no free buffer or timer"),
-    0x2D: Delivery(RadioStatus.OTHER, "a broadcast was to be encrypted end to end", True),
-    0x2E: Delivery(RadioStatus.OTHER, "end-to-end encryption was asked for, but EE = 0", True),
-    0x31: Delivery(RadioStatus.OTHER, "an internal error of the module", True),
+    0x2D: Delivery(RadioStatus.OTHER, "a broadcast was to be encrypted end to end"),
+    0x2E: Delivery(RadioStatus.OTHER, "end-to-end encryption was asked for, but EE = 0"),
+    0x31: Delivery(RadioStatus.OTHER, "an internal error of the module"),
     0x32: Delivery(RadioStatus.QUEUE_FULL, "the module has no free buffer or timer"),
-    0x34: Delivery(RadioStatus.OTHER, "there is no secure session", True),
-    0x35: Delivery(RadioStatus.OTHER, "encryption failed", True),
-    0x74: Delivery(RadioStatus.TOO_LONG, "the payload is longer than the network carries", True),
+    0x34: Delivery(RadioStatus.OTHER, "there is no secure session"),
+    0x35: Delivery(RadioStatus.OTHER, "encryption failed"),
+    0x74: Delivery(RadioStatus.TOO_LONG, "the payload is longer than the network carries"),
     0x75: Delivery(RadioStatus.NO_ACK, "a sleeping node never asked for it"),
-    0xBB: Delivery(RadioStatus.OTHER, "the key is not authorised", True),
+    0xBB: Delivery(RadioStatus.OTHER, "the key is not authorised"),
 }
 """Delivery status of 0x8B frames. Where it is not certain that nothing went out, the outcome is one that does not claim so."""
 
@@ -55,6 +53,9 @@ OUTCOME = {
     RadioStatus.OTHER: 0x31,
 }
 """The other way round: the delivery status that a module would give."""
+
+OF_MODULE = frozenset({0x22, 0x2D, 0x2E, 0x31, 0x34, 0x35, 0x74, 0xBB})
+"""Delivery statuses that tell of the module or its settings, rather than of one biobot."""
 
 ASSOCIATION = {
     0x00: "in a network",

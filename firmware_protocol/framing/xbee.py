@@ -1,8 +1,8 @@
 """Digi XBee API framing, modes 1 and 2 (WIRE_FORMAT.md §8.1).
 
-On the line: ``7E length16 data sum8``; length and checksum, high byte first, are those of the data without escapes, and all bytes of data and
-checksum together sum to 0xFF modulo 256. In mode 2 (``AP=2``) each 7E, 7D, 11 and 13 after the first byte goes as 7D and the byte XOR 0x20, so
-that a bare 7E always begins a frame. From Digi's XBee/XBee-PRO S2C Zigbee user guide (90002002), "API frame structure".
+On the line: ``7E length16 data sum8``; length, high byte first, and checksum are those of the data without escapes, and all bytes of data
+and checksum together sum to 0xFF modulo 256. In mode 2 (``AP=2``) each 7E, 7D, 11 and 13 after the first byte goes as 7D and the byte XOR
+0x20, so that a bare 7E always begins a frame. From Digi's XBee/XBee-PRO S2C Zigbee user guide (90002002), "API frame structure".
 
 A *body* is the data: frame type and what follows it. Pure: bytes go in, bodies and faults come out; the buffers are bounded. A length above
 ``MAX_BODY_SIZE`` is damage, so that a damaged length does not swallow what follows.
@@ -52,8 +52,8 @@ def make_decoder(*, is_escaped: bool) -> FrameDecoder:
 class PlainDecoder:
     """Cut a stream of mode 1 into bodies.
 
-    A start byte may stand anywhere in the data, so a claim to be a frame is believed only when its checksum fits; then the search goes on one
-    byte behind the false start. Holds at most ``MAX_BODY_SIZE + 3`` bytes between calls.
+    A start byte may stand anywhere in the data, so a claim to be a frame is believed only when its checksum fits; otherwise the search goes
+    on one byte behind the false start. Holds at most ``MAX_BODY_SIZE + 3`` bytes between calls.
     """
 
     _rest: bytes = b""
@@ -144,7 +144,7 @@ class EscapedDecoder:
             if _is_certainly_short(piece):
                 self._piece = piece
                 return
-            result = _decode_whole(piece)
+            result: bytes | FrameFault | None = _decode_whole(piece)
             n_left = 0
             if result is None:
                 result, n_left = _decode_begun(piece)

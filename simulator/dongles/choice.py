@@ -1,24 +1,39 @@
 """Which dialects a virtual dongle can speak, and one that speaks it."""
 
 from collections.abc import Callable
+from functools import partial
 
 from simulator.dongles.interface import Dongle
 from simulator.dongles.native import NativeDongle, NativeDongleConfig
+from simulator.dongles.xbee import XBeeDongle, XBeeDongleConfig
 
 DEFAULT_DIALECT = "native"
 
 _EUI64 = 0x00124B0000000000  # Texas Instruments' number
+_DIGI_EUI64 = 0x0013A20000000000
 _PAN_ID = 0xB10B
 
 
 def make_dongle(dialect: str, *, index: int) -> Dongle:
-    """Return the ``index``-th dongle of a swarm, which speaks a dialect of ``DIALECTS``; it has a network of its own."""
-    return _MAKERS[dialect](_EUI64 + (0x10000 + index if index else 0), _PAN_ID + index)
+    """Return the ``index``-th dongle of a swarm, which is one of ``DONGLES``; it has a network of its own."""
+    return (_MAKERS | _VARIANTS)[dialect](_EUI64 + (0x10000 + index if index else 0), _PAN_ID + index)
 
 
 def _make_native(eui64: int, pan_id: int) -> Dongle:
     return NativeDongle(config=NativeDongleConfig(eui64=eui64, pan_id=pan_id))
 
 
-_MAKERS: dict[str, Callable[[int, int], Dongle]] = {"native": _make_native}
+def _make_xbee(eui64: int, pan_id: int, *, mode: int = 2) -> Dongle:
+    eui64 = _DIGI_EUI64 | eui64 & 0xFFFF_FFFF
+    return XBeeDongle(config=XBeeDongleConfig(eui64=eui64, pan_id=pan_id, memory={"CE": 1, "AP": mode}))
+
+
+_MAKERS: dict[str, Callable[[int, int], Dongle]] = {"native": _make_native, "xbee": _make_xbee}
+_VARIANTS: dict[str, Callable[[int, int], Dongle]] = {
+    "xbee-ap0": partial(_make_xbee, mode=0),
+    "xbee-ap1": partial(_make_xbee, mode=1),
+}
+"""The same dialects in another state: an XBee in transparent mode, as it comes from the factory, or in API mode 1."""
 DIALECTS = tuple(_MAKERS)
+DONGLES = (*DIALECTS, *_VARIANTS)
+"""All that ``make_dongle`` makes."""
