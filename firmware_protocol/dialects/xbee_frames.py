@@ -193,14 +193,14 @@ def unpack_receive(body: bytes) -> tuple[int, int, int, bytes] | None:
 
 
 def _encode_to_module(frame: ToModule) -> bytes:
-    match frame:
-        case AtCommand():
-            return _COMMAND.pack(0x08, frame.frame_id, _name(frame.command)) + frame.value
-        case TransmitRequest(frame_id=frame_id, destination64=long, destination16=short, endpoints=None):
-            return _REQUEST.pack(0x10, frame_id, long, short, frame.radius, frame.options) + frame.payload
-        case TransmitRequest(frame_id=frame_id, destination64=long, destination16=short, endpoints=Endpoints() as ends):
-            where = (ends.source, ends.destination, ends.cluster, ends.profile)
-            return _EXPLICIT_REQUEST.pack(0x11, frame_id, long, short, *where, frame.radius, frame.options) + frame.payload
+    if isinstance(frame, AtCommand):
+        return _COMMAND.pack(0x08, frame.frame_id, _name(frame.command)) + frame.value
+    where = (frame.frame_id, frame.destination64, frame.destination16)
+    ends = frame.endpoints
+    if ends is None:
+        return _REQUEST.pack(0x10, *where, frame.radius, frame.options) + frame.payload
+    head = (ends.source, ends.destination, ends.cluster, ends.profile, frame.radius, frame.options)
+    return _EXPLICIT_REQUEST.pack(0x11, *where, *head) + frame.payload
 
 
 def _encode_from_module(frame: FromModule) -> bytes:
@@ -211,13 +211,18 @@ def _encode_from_module(frame: FromModule) -> bytes:
             return _STATUS.pack(0x8B, frame.frame_id, frame.destination16, frame.retries, frame.delivery, frame.discovery)
         case ModemStatus():
             return _MODEM.pack(0x8A, frame.status)
-        case Receive(endpoints=None):
-            return _RECEIVE.pack(0x90, frame.source64, frame.source16, frame.options) + frame.payload
-        case Receive(endpoints=Endpoints() as ends):
-            where = (ends.source, ends.destination, ends.cluster, ends.profile)
-            return _EXPLICIT_RECEIVE.pack(0x91, frame.source64, frame.source16, *where, frame.options) + frame.payload
+        case Receive():
+            return _encode_receive(frame)
         case NodeIdentification():
             return _encode_identification(frame)
+
+
+def _encode_receive(frame: Receive) -> bytes:
+    ends = frame.endpoints
+    if ends is None:
+        return _RECEIVE.pack(0x90, frame.source64, frame.source16, frame.options) + frame.payload
+    head = (ends.source, ends.destination, ends.cluster, ends.profile, frame.options)
+    return _EXPLICIT_RECEIVE.pack(0x91, frame.source64, frame.source16, *head) + frame.payload
 
 
 def _decode_receive(body: bytes) -> Receive:

@@ -240,16 +240,10 @@ class XBeeDongle:
                 return (AT_BAD_COMMAND, b"") if given is None else (AT_OK, given)
         return AT_OK, b""
 
-    def _obey_text(self, name: str, value: bytes) -> tuple[int, bytes]:
+    def _obey_text(self, name: str, value: bytes, now_ns: int) -> tuple[int, bytes]:
         if name == "ND":
             return AT_BAD_COMMAND, b""
-        return self._obey(AtCommand(frame_id=0, command=name, value=value), self._now_of_text())
-
-    def _now_of_text(self) -> int:
-        """Return the instant of the line in hand: command mode ends ``CT`` after it."""
-        ends_ns = self._console.deadline_ns
-        assert ends_ns is not None, "the console is in command mode"
-        return ends_ns - guard_and_end_ns(guard_ms=0, end_tenths=self.settings.number("CT"))[1]
+        return self._obey(AtCommand(frame_id=0, command=name, value=value), now_ns)
 
     def _read(self, name: str) -> bytes | None:
         config, is_up = self.config, self._association == ASSOCIATED

@@ -15,12 +15,12 @@ class XBeeConsole:
     Parameters
     ----------
     obey
-        Does an AT command and returns its status and value.
+        Does an AT command at an instant [ns] and returns its status and value.
     read_time_ns
         Returns the guard time and the time after which command mode ends by itself [ns].
     """
 
-    def __init__(self, *, obey: Callable[[str, bytes], tuple[int, bytes]], read_time_ns: Callable[[], tuple[int, int]]) -> None:
+    def __init__(self, *, obey: Callable[[str, bytes, int], tuple[int, bytes]], read_time_ns: Callable[[], tuple[int, int]]) -> None:
         self.is_in_command_mode = False
         self._obey = obey
         self._read_time_ns = read_time_ns
@@ -75,10 +75,10 @@ class XBeeConsole:
         answer = b""
         for line in lines:
             if self.is_in_command_mode:
-                answer += self._answer(line.strip(b"\n"))
+                answer += self._answer(line.strip(b"\n"), now_ns)
         return answer
 
-    def _answer(self, line: bytes) -> bytes:
+    def _answer(self, line: bytes, now_ns: int) -> bytes:
         if line[:2].upper() != b"AT":
             return b"ERROR\r"
         answer = b""
@@ -88,7 +88,7 @@ class XBeeConsole:
                 self.leave()
                 return answer + b"OK\r"
             value = text if name == "NI" else _from_hex(text)
-            status, given = (1, b"") if value is None else self._obey(name, value)
+            status, given = (1, b"") if value is None else self._obey(name, value, now_ns)
             if status != AT_OK:
                 answer += b"ERROR\r"
             else:
