@@ -48,11 +48,15 @@ class Endpoints:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AtCommand:
-    """Ask for a parameter, set it, or have something done (0x08). ``frame_id`` 0 asks for no answer."""
+    """Ask for a parameter, set it, or have something done (0x08). ``frame_id`` 0 asks for no answer.
+
+    What is set by a queued command (0x09) takes effect with ``AC`` or the next command that is not queued.
+    """
 
     frame_id: int
     command: str
     value: bytes = b""
+    is_queued: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,7 +198,7 @@ def unpack_receive(body: bytes) -> tuple[int, int, int, bytes] | None:
 
 def _encode_to_module(frame: ToModule) -> bytes:
     if isinstance(frame, AtCommand):
-        return _COMMAND.pack(0x08, frame.frame_id, _name(frame.command)) + frame.value
+        return _COMMAND.pack(0x09 if frame.is_queued else 0x08, frame.frame_id, _name(frame.command)) + frame.value
     where = (frame.frame_id, frame.destination64, frame.destination16)
     ends = frame.endpoints
     if ends is None:
@@ -239,9 +243,9 @@ def _decode_explicit_receive(body: bytes) -> Receive:
 
 def _decode_to_module(body: bytes) -> ToModule | XBeeFault:
     match body[:1]:
-        case b"\x08":
-            _, frame_id, name = _COMMAND.unpack_from(body)
-            return AtCommand(frame_id=frame_id, command=name.decode("latin-1"), value=body[_COMMAND.size :])
+        case b"\x08" | b"\x09":
+            kind, frame_id, name = _COMMAND.unpack_from(body)
+            return AtCommand(frame_id=frame_id, command=name.decode("latin-1"), value=body[_COMMAND.size :], is_queued=kind == 0x09)
         case b"\x10":
             _, frame_id, destination64, destination16, radius, options = _REQUEST.unpack_from(body)
             endpoints, payload = None, body[_REQUEST.size :]

@@ -87,6 +87,8 @@ class XBeeDongle:
     _next_handle: int = 0
     _association: int = _SCANNING
     _form_at_ns: int | None = None
+    _is_to_form: bool = False
+    """A parameter of the network was set, and that has not taken effect."""
     _found: deque[bytes] = field(default_factory=deque)
     """Answers of a node discovery that are still to be given."""
     _find_at_ns: int | None = None
@@ -205,7 +207,8 @@ class XBeeDongle:
                 status, value = self._obey(frame, now_ns)
                 if frame.frame_id and not (frame.command == "ND" and status == AT_OK):
                     self._say(AtResponse(frame_id=frame.frame_id, command=frame.command, status=status, value=value))
-                self._apply(now_ns)
+                if not frame.is_queued or frame.command == "AC":
+                    self._apply(now_ns)
             case TransmitRequest():
                 self._transmit(frame)
             case XBeeFault():
@@ -233,7 +236,7 @@ class XBeeDongle:
                 before = self.settings.read(name)
                 status = self.settings.change(name, value)
                 if status == AT_OK and name in NETWORK and self.settings.read(name) != before:
-                    self._form(now_ns)
+                    self._is_to_form = True
                 return status, b""
             case _:
                 given = self._read(name)
@@ -266,7 +269,9 @@ class XBeeDongle:
         return self.settings.read(name)
 
     def _apply(self, now_ns: int) -> None:
-        """Change the mode where ``AP`` was changed; the answer to that went out in the old one."""
+        """Let what was set take effect: the mode, in which the answer did not yet go out, and the network."""
+        if self._is_to_form:
+            self._form(now_ns)
         if self.settings.number("AP") != self._mode:
             self._speak()
             if self._mode:
@@ -277,6 +282,7 @@ class XBeeDongle:
         self._decoder = make_decoder(is_escaped=self._mode == 2)
 
     def _form(self, now_ns: int) -> None:
+        self._is_to_form = False
         self._association = _SCANNING
         self._form_at_ns = now_ns + _FORMING_NS
 
