@@ -10,6 +10,7 @@ The stages, each with a deadline:
 4. *network*: ``AI`` until it says that there is one, for ``patience_ns``.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -32,7 +33,11 @@ _RESET_NS = 3_000 * NS_PER_MS
 _POLL_NS = 1_000 * NS_PER_MS
 _MODE_TRIES = 2
 _QUESTION_TRIES = 3
+_LINE_TRIES = 3
 _MAX_TEXT = 64
+_KNOCK = b"+++"
+_OK = b"OK\r"
+_ANSWER = re.compile(rb"OK\r|ERROR\r")
 
 _QUESTIONS = ("VR", "HV", "SH", "SL", "MY", "OI", "ID", "CH", "NP", "NI", "AO")
 """Asked when the network is up, because ``OI`` and ``CH`` say nothing before. A module need not know each: DigiMesh has no ``OI``."""
@@ -113,22 +118,14 @@ class Opening:
     def take_text(self, chunk: bytes, *, now_ns: int) -> list[HostEvent]:
         """Take bytes from the line while ``is_textual``."""
         self._text = (self._text + chunk)[-_MAX_TEXT:]
-        if b"ERROR\r" in self._text and self.stage is Stage.SCRIPT:
-            self._begin(now_ns)
-            return [CoordinatorSaid(level=2, name="command_mode", text=f"the module refuses {self._script[self._at_line]}")]
-        if b"OK\r" not in self._text:
-            return []
-        self._text = b""
-        if self.stage is Stage.KNOCK:
-            self.stage, self._at_line = Stage.SCRIPT, 0
-            self._say_line(now_ns)
-            return [CoordinatorSaid(level=1, name="command_mode", text="the module is in transparent mode; it is switched to API mode 2")]
-        self._at_line += 1
-        if self._at_line < len(self._script):
-            self._say_line(now_ns)
-        else:
-            self._begin(now_ns)
-        return []
+        events: list[HostEvent] = []
+        while self.is_textual and (answer := _ANSWER.search(self._text)):
+            self._text = self._text[answer.end() :]
+            if answer[0] == _OK:
+                events += self._take_ok(now_ns)
+            elif self.stage is Stage.SCRIPT:
+                events += self._try_line_again(now_ns)
+        return events
 
     def take_answer(self, answer: AtResponse, *, now_ns: int) -> list[HostEvent]:
         """Take the answer to an AT command."""
@@ -155,33 +152,43 @@ class Opening:
         """Ask again, or try another way."""
         if now_ns < self._deadline_ns:
             return []
-        self._n_tries += 1
         match self.stage:
-            case Stage.MODE if self._n_tries < _MODE_TRIES:
-                self._ask("AP", now_ns)
             case Stage.MODE:
-                self._enter(Stage.GUARD, until_ns=now_ns + _GUARD_NS)
+                self._n_tries += 1
+                if self._n_tries < _MODE_TRIES:
+                    self._ask("AP", now_ns)
+                else:
+                    self._enter(Stage.GUARD, until_ns=now_ns + _GUARD_NS)
             case Stage.GUARD:
                 self._text = b""
-                self.outgoing.append(b"+++")
+                self.outgoing.append(_KNOCK)
                 self._enter(Stage.KNOCK, until_ns=now_ns + _KNOCK_NS)
             case Stage.KNOCK:
                 self.outgoing.append(bytes(MAX_BODY_SIZE))
                 self._begin(now_ns)
-            case Stage.QUESTIONS if self._n_tries < _QUESTION_TRIES:
-                self._ask(self._question(), now_ns)
-            case Stage.QUESTIONS | Stage.NETWORK if self._n_tries >= _QUESTION_TRIES and not self._has_reset:
-                self._has_reset = True
-                self._ask("FR", now_ns)
-                self._enter(Stage.RESET, until_ns=now_ns + _RESET_NS)
-                return [CoordinatorSaid(level=2, name="reset", text="the module stopped answering; it is reset")]
-            case Stage.NETWORK if self._n_tries < _QUESTION_TRIES:
-                self._ask("AI", now_ns)
-            case Stage.SCRIPT | Stage.RESET | Stage.QUESTIONS | Stage.NETWORK:
+            case Stage.SCRIPT:
+                return self._try_line_again(now_ns)
+            case Stage.QUESTIONS | Stage.NETWORK:
+                return self._try_question_again(now_ns)
+            case Stage.RESET:
                 self._begin(now_ns)
             case Stage.DONE | Stage.REFUSED:
                 pass
         return []
+
+    def _try_question_again(self, now_ns: int) -> list[HostEvent]:
+        """Ask what was not answered, or poll ``AI``; reset a module that has stopped answering, once."""
+        self._n_tries += 1
+        if self._n_tries < _QUESTION_TRIES:
+            self._ask(self._question(), now_ns)
+            return []
+        if self._has_reset:
+            self._begin(now_ns)
+            return []
+        self._has_reset = True
+        self._ask("FR", now_ns)
+        self._enter(Stage.RESET, until_ns=now_ns + _RESET_NS)
+        return [CoordinatorSaid(level=2, name="reset", text="the module stopped answering; it is reset")]
 
     def _enter(self, stage: Stage, *, until_ns: int) -> None:
         self.stage = stage
@@ -200,6 +207,31 @@ class Opening:
         body = encode_xbee(AtCommand(frame_id=AT_FRAME_ID, command=command))
         self.outgoing.append(encode_frame(body, is_escaped=bool(self.is_escaped)))
         self._deadline_ns = now_ns + _ANSWER_NS
+
+    def _take_ok(self, now_ns: int) -> list[HostEvent]:
+        if self.stage is Stage.KNOCK:
+            self._enter(Stage.SCRIPT, until_ns=now_ns)
+            self._at_line = 0
+            self._say_line(now_ns)
+            return [CoordinatorSaid(level=1, name="command_mode", text="the module is in transparent mode; it is switched to API mode 2")]
+        self._at_line += 1
+        self._n_tries = 0
+        if self._at_line < len(self._script):
+            self._say_line(now_ns)
+        else:
+            self._begin(now_ns)
+        return []
+
+    def _try_line_again(self, now_ns: int) -> list[HostEvent]:
+        """Say a line of text anew that was damaged on its way, or give the module time to leave command mode by itself."""
+        self._n_tries += 1
+        if self._n_tries < _LINE_TRIES:
+            self.outgoing.append(b"\r")  # ends what it may hold of the last one
+            self._say_line(now_ns)
+            return []
+        text = f"the module does not take {self._script[self._at_line]}"
+        self._begin(now_ns)
+        return [CoordinatorSaid(level=2, name="command_mode", text=text)]
 
     def _say_line(self, now_ns: int) -> None:
         self.outgoing.append(self._script[self._at_line].encode() + b"\r")

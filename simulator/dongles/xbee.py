@@ -295,7 +295,7 @@ class XBeeDongle:
             refusal = _NO_ENDPOINT  # backpacks here have no ZigBee device object to talk to
         elif len(request.payload) > _LONGEST_PAYLOAD:
             refusal = _TOO_LARGE
-        elif request.destination64 == self.config.eui64 or (request.destination64 in {0, UNKNOWN64} and request.destination16 == 0):
+        elif request.destination64 in {0, self.config.eui64} or (request.destination64 == UNKNOWN64 and request.destination16 == 0):
             refusal = _SELF
         elif address is None:
             refusal = _NOT_KNOWN

@@ -37,6 +37,8 @@ class XBeeConsole:
 
     def feed(self, chunk: bytes, *, now_ns: int) -> tuple[bytes, bytes]:
         """Take bytes from the line; return the answer, and what is no command but data for the radio."""
+        if not chunk:
+            return b"", b""
         before_ns, self._heard_ns = self._heard_ns, now_ns
         if self.is_in_command_mode:
             return self._take_lines(chunk, now_ns), b""
@@ -71,7 +73,6 @@ class XBeeConsole:
     def _take_lines(self, chunk: bytes, now_ns: int) -> bytes:
         *lines, self._line = (self._line + chunk).split(b"\r")
         self._line = self._line[-_LONGEST_LINE:]
-        self._due_ns = now_ns + self._read_time_ns()[1]
         answer = b""
         for line in lines:
             if self.is_in_command_mode:
@@ -92,6 +93,7 @@ class XBeeConsole:
             if status != AT_OK:
                 answer += b"ERROR\r"
             else:
+                self._due_ns = now_ns + self._read_time_ns()[1]  # only what is understood keeps command mode up
                 answer += (_as_text(name, given) if given else b"OK") + b"\r"
         return answer
 
