@@ -31,16 +31,21 @@ PARAMETERS = {
     "DH": Parameter(size=4, default=0, most=0xFFFF_FFFF),
     "DL": Parameter(size=4, default=0, most=0xFFFF_FFFF),
     "EE": Parameter(size=1, default=0, most=1),
+    "EO": Parameter(size=1, default=0, most=0xFF),
     "GT": Parameter(size=2, default=0x3E8, least=1, most=0xCE4),
     "ID": Parameter(size=8, default=0, most=0xFFFF_FFFF_FFFF_FFFF),
     "JN": Parameter(size=1, default=0, most=1),
     "JV": Parameter(size=1, default=0, most=1),
+    "NH": Parameter(size=1, default=0x1E, most=0xFF),
     "NJ": Parameter(size=1, default=0xFF, most=0xFF),
     "NO": Parameter(size=1, default=0, most=3),
     "NT": Parameter(size=2, default=0x3C, least=0x20, most=0xFF),
     "SC": Parameter(size=2, default=0x7FFF, least=1, most=0xFFFF),
     "SD": Parameter(size=1, default=3, most=7),
     "SM": Parameter(size=1, default=0, most=6),
+    "SN": Parameter(size=2, default=1, least=1, most=0xFFFF),
+    "SP": Parameter(size=2, default=0x20, least=0x20, most=0xAF0),
+    "ZS": Parameter(size=1, default=0, most=2),
 }
 NETWORK = frozenset({"CE", "ID", "SC"})
 """A change of these makes the module leave its network and look for another."""
