@@ -5,6 +5,7 @@ from collections.abc import Callable
 from firmware_protocol.dialects.can import DEFAULT_UNIT, make_can_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.dialects.native import NativeHost
+from firmware_protocol.dialects.xbee import XBeeHost
 
 DEFAULT_DIALECT = "native"
 
@@ -29,6 +30,10 @@ def _make_native(first_handle: int) -> Host:
     return NativeHost(first_handle=first_handle)
 
 
-_MAKERS: dict[str, Callable[[int], Host]] = {"native": _make_native}
+def _make_xbee(first_handle: int) -> Host:  # noqa: ARG001  # frame ids have no memory in a module
+    return XBeeHost()
+
+
+_MAKERS: dict[str, Callable[[int], Host]] = {"native": _make_native, "xbee": _make_xbee}
 CAN_DIALECTS = ("can", "canfd")
 DIALECTS = (*_MAKERS, *CAN_DIALECTS)

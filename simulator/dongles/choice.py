@@ -1,21 +1,24 @@
 """Which dialects a virtual dongle can speak, and one that speaks it."""
 
 from collections.abc import Callable
+from functools import partial
 
 from firmware_protocol.dialects.can import DEFAULT_UNIT
 from firmware_protocol.dialects.choice import CAN_DIALECTS
 from simulator.dongles.can import CanDongle
 from simulator.dongles.interface import Dongle
 from simulator.dongles.native import NativeDongle, NativeDongleConfig
+from simulator.dongles.xbee import XBeeDongle, XBeeDongleConfig
 
 DEFAULT_DIALECT = "native"
 
 _EUI64 = 0x00124B0000000000  # Texas Instruments' number
+_DIGI_EUI64 = 0x0013A20000000000
 _PAN_ID = 0xB10B
 
 
 def make_dongle(dialect: str, *, index: int) -> Dongle:
-    """Return the ``index``-th dongle of a swarm, which speaks a dialect of ``DIALECTS``; it has a network of its own.
+    """Return the ``index``-th dongle of a swarm, which is one of ``DONGLES``; it has a network of its own.
 
     ``can`` and ``canfd`` may have a unit number behind them: ``can:7``.
     """
@@ -24,12 +27,24 @@ def make_dongle(dialect: str, *, index: int) -> Dongle:
     if name in CAN_DIALECTS:
         config = NativeDongleConfig(eui64=eui64, pan_id=pan_id)
         return CanDongle(config=config, unit=int(unit or DEFAULT_UNIT), is_fd=name == "canfd")
-    return _MAKERS[dialect](eui64, pan_id)
+    return (_MAKERS | _VARIANTS)[dialect](eui64, pan_id)
 
 
 def _make_native(eui64: int, pan_id: int) -> Dongle:
     return NativeDongle(config=NativeDongleConfig(eui64=eui64, pan_id=pan_id))
 
 
-_MAKERS: dict[str, Callable[[int, int], Dongle]] = {"native": _make_native}
+def _make_xbee(eui64: int, pan_id: int, *, mode: int = 2) -> Dongle:
+    eui64 = _DIGI_EUI64 | eui64 & 0xFFFF_FFFF
+    return XBeeDongle(config=XBeeDongleConfig(eui64=eui64, pan_id=pan_id, memory={"CE": 1, "AP": mode}))
+
+
+_MAKERS: dict[str, Callable[[int, int], Dongle]] = {"native": _make_native, "xbee": _make_xbee}
+_VARIANTS: dict[str, Callable[[int, int], Dongle]] = {
+    "xbee-ap0": partial(_make_xbee, mode=0),
+    "xbee-ap1": partial(_make_xbee, mode=1),
+}
+"""The same dialects in another state: an XBee in transparent mode, as it comes from the factory, or in API mode 1."""
 DIALECTS = (*_MAKERS, *CAN_DIALECTS)
+DONGLES = (*DIALECTS, *_VARIANTS)
+"""All that ``make_dongle`` makes."""

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from simulator.dongles.choice import DEFAULT_DIALECT, DIALECTS
+from simulator.dongles.choice import DEFAULT_DIALECT, DONGLES
 from simulator.errors import ParameterError
 
 _CHUNK = 4096
@@ -78,12 +78,12 @@ def parse_line(text: str) -> LineSpec:
 
 
 def _parse_options(text: str, query: str) -> dict[str, str]:
-    wanted = f"?baud= with 50 to 12000000, dialect= with one of {', '.join(DIALECTS)}, joined by &, and nothing else after the line's name"
+    wanted = f"?baud= with 50 to 12000000, dialect= with one of {', '.join(DONGLES)}, joined by &, and nothing else after the line's name"
     options: dict[str, str] = {}
     for option in query.split("&"):
         key, _, value = option.partition("=")
         is_baud = key == "baud" and value.isascii() and value.isdigit() and 50 <= int(value) <= 12_000_000
-        if key in options or not (is_baud or (key == "dialect" and value in DIALECTS)):
+        if key in options or not (is_baud or (key == "dialect" and value in DONGLES)):
             raise ParameterError(name="link", got=text, wanted=wanted)
         options[key] = value
     return options

@@ -1,0 +1,124 @@
+"""Payloads on their way into an XBee's radio: a queue, a few in flight by frame id, and who is waiting for what (WIRE_FORMAT.md §8.5)."""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from firmware_protocol.errors import LinkFullError
+from firmware_protocol.units import NS_PER_S, ShortAddress
+
+WINDOW = 4
+"""Transmit requests without a status: a module has few buffers, and an urgent payload must not wait behind many."""
+URGENT_EXTRA = 2
+"""More that an urgent payload may be in flight."""
+MAX_QUEUE = 256
+STATUS_PATIENCE_NS = 15 * NS_PER_S
+"""After this a status will not come: longer than a module takes for address discovery, route discovery and three tries."""
+
+_FIRST_ID = 2
+_N_IDS = 254
+"""Frame ids 2 to 255: 0 asks for no status, and 1 is that of AT commands."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sending:
+    """A payload that a ticket was given for."""
+
+    ticket: int
+    destination: ShortAddress
+    payload: bytes
+    is_urgent: bool
+
+
+@dataclass(slots=True)
+class _InFlight:
+    sending: Sending
+    until_ns: int
+    is_forgotten: bool = False
+
+
+class Sendings:
+    """See the module."""
+
+    def __init__(self) -> None:
+        self._urgent: deque[Sending] = deque()
+        self._waiting: deque[Sending] = deque()
+        self._in_flight: dict[int, _InFlight] = {}
+        """By frame id, in the order of their deadlines."""
+        self._next_ticket = 1
+        self._next_id = 0
+
+    def queue(self, *, destination: ShortAddress, payload: bytes, is_urgent: bool) -> int:
+        """Take a payload; return its ticket.
+
+        Raises
+        ------
+        LinkFullError
+            ``MAX_QUEUE`` payloads wait, and this one is not urgent.
+        """
+        if len(self._urgent) + len(self._waiting) >= MAX_QUEUE and not is_urgent:
+            raise LinkFullError(limit=MAX_QUEUE)
+        ticket = self._next_ticket
+        self._next_ticket += 1
+        sending = Sending(ticket=ticket, destination=destination, payload=payload, is_urgent=is_urgent)
+        (self._urgent if is_urgent else self._waiting).append(sending)
+        return ticket
+
+    def launch(self, *, now_ns: int) -> Iterator[tuple[int, Sending]]:
+        """Yield what may go to the module now, with its frame id; what the caller cannot send, it settles at once."""
+        while (sending := self._next()) is not None:
+            frame_id = self._take_id()
+            self._in_flight[frame_id] = _InFlight(sending, now_ns + STATUS_PATIENCE_NS)
+            yield frame_id, sending
+
+    def settle(self, frame_id: int) -> Sending | None:
+        """Take the status of a frame id; return whose it is, or None where nobody waits for it."""
+        entry = self._in_flight.pop(frame_id, None)
+        return None if entry is None or entry.is_forgotten else entry.sending
+
+    def forget(self, ticket: int) -> None:
+        """Wait no more for a ticket. In flight, its frame id stays taken until the status comes or is overdue, its place does not."""
+        for queue in (self._urgent, self._waiting):
+            for sending in queue:
+                if sending.ticket == ticket:
+                    queue.remove(sending)
+                    return
+        for entry in self._in_flight.values():
+            if entry.sending.ticket == ticket:
+                entry.is_forgotten = True
+
+    def give_up(self, *, now_ns: int) -> list[int]:
+        """Return the tickets whose status is overdue; they are waited for no longer."""
+        overdue = [frame_id for frame_id, entry in self._in_flight.items() if entry.until_ns <= now_ns]
+        entries = [self._in_flight.pop(frame_id) for frame_id in overdue]
+        return [entry.sending.ticket for entry in entries if not entry.is_forgotten]
+
+    def next_deadline_ns(self) -> int | None:
+        """Return when ``give_up`` has something to do."""
+        return next((entry.until_ns for entry in self._in_flight.values()), None)
+
+    def drop_all(self) -> tuple[int, ...]:
+        """Empty all; return the tickets that were waited for."""
+        flying = [entry.sending for entry in self._in_flight.values() if not entry.is_forgotten]
+        tickets = tuple(sending.ticket for sending in (*flying, *self._urgent, *self._waiting))
+        self._in_flight.clear()
+        self._urgent.clear()
+        self._waiting.clear()
+        return tickets
+
+    def _next(self) -> Sending | None:
+        n_flying = sum(not entry.is_forgotten for entry in self._in_flight.values())
+        if len(self._in_flight) >= _N_IDS:
+            return None
+        if self._urgent and n_flying < WINDOW + URGENT_EXTRA:
+            return self._urgent.popleft()
+        if self._waiting and not self._urgent and n_flying < WINDOW:
+            return self._waiting.popleft()
+        return None
+
+    def _take_id(self) -> int:
+        while self._next_id + _FIRST_ID in self._in_flight:
+            self._next_id = (self._next_id + 1) % _N_IDS
+        frame_id = self._next_id + _FIRST_ID
+        self._next_id = (self._next_id + 1) % _N_IDS
+        return frame_id

@@ -1,0 +1,477 @@
+"""Laws of the host of XBee modules, against a module that answers from a table."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.dialects.interface import (
+    RSSI_UNKNOWN,
+    CoordinatorIdentified,
+    CoordinatorSaid,
+    HostEvent,
+    HostLost,
+    HostOpened,
+    LostWhy,
+    NodeSeen,
+    PayloadHeard,
+    SendSettled,
+)
+from firmware_protocol.dialects.xbee import XBeeHost, XBeeHostConfig
+from firmware_protocol.dialects.xbee_addresses import AddressTable
+from firmware_protocol.dialects.xbee_frames import (
+    AT_BAD_COMMAND,
+    AT_OK,
+    BROADCAST64,
+    UNKNOWN16,
+    UNKNOWN64,
+    AtCommand,
+    AtResponse,
+    Endpoints,
+    FromModule,
+    ModemStatus,
+    NodeIdentification,
+    Receive,
+    TransmitRequest,
+    TransmitStatus,
+    decode_xbee,
+    encode_xbee,
+)
+from firmware_protocol.dialects.xbee_meanings import DELIVERY, EVENTS, OF_MODULE, OUTCOME, RESTARTS
+from firmware_protocol.dialects.xbee_sending import MAX_QUEUE, WINDOW
+from firmware_protocol.envelope import BROADCAST_ADDRESS, RadioStatus
+from firmware_protocol.errors import EncodeError, LinkFullError
+from firmware_protocol.framing.xbee import encode_frame, make_decoder
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, ShortAddress
+from tests.strategies import u16
+
+EUI64 = 0x0013A20041AEB54E
+NODE = ShortAddress(0x7D84)
+ZIGBEE = {
+    "AP": b"\2", "AO": b"\0", "VR": b"\x10\x0d", "HV": b"\x42\x47", "SH": b"\0\x13\xa2\0", "SL": b"\x40\0\0\1", "MY": b"\0\0",
+    "OI": b"\xb1\x0b", "ID": bytes(8), "CH": b"\x14", "NP": b"\0\x54", "AI": b"\0", "CE": b"\1", "NI": b"BASE",
+}  # fmt: skip
+DIGIMESH = {name: ZIGBEE[name] for name in ("AP", "AO", "VR", "HV", "SH", "SL", "CH", "NP", "NI", "CE")} | {"ID": b"\x7f\xff"}
+
+
+@dataclass
+class Bench:
+    """A host, and a module on its line that answers AT commands from ``answers`` unless it is ``deaf``."""
+
+    host: XBeeHost
+    answers: dict[str, bytes]
+    deaf: Callable[[str], bool] = lambda _: False
+    now_ns: int = 0
+    events: list[HostEvent] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+    requests: list[TransmitRequest] = field(default_factory=list)
+    raw: list[bytes] = field(default_factory=list)
+
+    @property
+    def is_escaped(self) -> bool:
+        return self.answers["AP"] == b"\2"
+
+    def run(self, for_ms: int = 200) -> None:
+        for _ in range(for_ms // 10):
+            self.exchange()
+            self.now_ns += 10 * NS_PER_MS
+            due_ns = self.host.next_deadline_ns()
+            if due_ns is not None and due_ns <= self.now_ns:
+                self.events += self.host.handle_deadline(now_ns=self.now_ns)
+        self.exchange()
+
+    def exchange(self) -> None:
+        while frames := self.host.take_frames():
+            for frame in frames:
+                self.raw.append(frame)
+                for body in make_decoder(is_escaped=self.is_escaped).feed(frame):
+                    if isinstance(body, bytes):
+                        self._obey(decode_xbee(body))
+
+    def say(self, *frames: FromModule) -> None:
+        for frame in frames:
+            self.events += self.host.feed(encode_frame(encode_xbee(frame), is_escaped=self.is_escaped), now_ns=self.now_ns)
+
+    def of(self, kind: type) -> list[HostEvent]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+    @property
+    def settled(self) -> dict[int, int]:
+        return {event.ticket: event.status for event in self.events if isinstance(event, SendSettled)}
+
+    def send(self, payload: bytes = b"payload", *, to: int = NODE, is_urgent: bool = False) -> int:
+        ticket = self.host.send(destination=ShortAddress(to), payload=payload, now_ns=self.now_ns, is_urgent=is_urgent)
+        self.exchange()
+        return ticket
+
+    def _obey(self, frame: object) -> None:
+        match frame:
+            case AtCommand(command=command, frame_id=frame_id) if not self.deaf(command):
+                self.asked.append(command)
+                known = command in self.answers
+                status, value = (AT_OK, self.answers[command]) if known else (AT_BAD_COMMAND, b"")
+                self.say(AtResponse(frame_id=frame_id, command=command, status=status, value=value))
+            case TransmitRequest():
+                self.requests.append(frame)
+
+
+def a_bench(
+    answers: dict[str, bytes] | None = None, *, deaf: Callable[[str], bool] = lambda _: False, config: XBeeHostConfig | None = None
+) -> Bench:
+    bench = Bench(XBeeHost(config=config), dict(answers or ZIGBEE), deaf)
+    bench.events += bench.host.open(session=1, now_ns=0)
+    return bench
+
+
+def an_open_bench(answers: dict[str, bytes] | None = None, *, config: XBeeHostConfig | None = None) -> Bench:
+    bench = a_bench(answers, config=config)
+    bench.run()
+    assert bench.host.is_open
+    bench.events.clear()
+    return bench
+
+
+def heard(source64: int = EUI64, source16: int = NODE, payload: bytes = b"heard", endpoints: Endpoints | None = None) -> Receive:
+    return Receive(source64=source64, source16=source16, options=1, payload=payload, endpoints=endpoints)
+
+
+@pytest.mark.parametrize("mode", [1, 2])
+def test_a_module_in_either_mode_opens_and_says_who_it_is(mode: int) -> None:
+    bench = a_bench(ZIGBEE | {"AP": bytes([mode])})
+    bench.run()
+    assert bench.of(HostOpened)
+    (identified,) = bench.of(CoordinatorIdentified)
+    assert isinstance(identified, CoordinatorIdentified)
+    hello = identified.hello
+    assert (hello.eui64, hello.pan_id, hello.channel) == (0x0013A20040000001, 0xB10B, 20)
+    assert (hello.firmware, hello.max_radio_payload) == (0x100D, 84)
+    assert identified.description == f'XBee 3 "BASE", firmware 100D, hardware 4247, coordinator at 0x0000, API mode {mode}'
+    bench.say(heard(payload=bytes(range(0x7A, 0x80)) + b"\x11\x13"))
+    assert isinstance(bench.events[-1], PayloadHeard)
+    assert bench.events[-1].received.payload == b"\x7a\x7b\x7c\x7d\x7e\x7f\x11\x13"
+    assert bench.events[-1].received.rssi_dbm == RSSI_UNKNOWN
+
+
+def test_a_module_that_does_not_know_every_parameter_opens_all_the_same() -> None:
+    bench = a_bench(DIGIMESH)
+    bench.run()
+    (identified,) = bench.of(CoordinatorIdentified)
+    assert isinstance(identified, CoordinatorIdentified)
+    assert identified.hello.pan_id == 0x7FFF
+
+
+def test_a_module_without_a_network_is_waited_for_and_opens_when_it_has_one() -> None:
+    bench = a_bench(ZIGBEE | {"AI": b"\xff"})
+    bench.run(4_500)
+    assert not bench.host.is_open
+    said = bench.of(CoordinatorSaid)
+    assert [event.level for event in said if isinstance(event, CoordinatorSaid)] == [1, 0, 0, 0, 0]
+    bench.answers["AI"] = b"\0"
+    bench.say(ModemStatus(status=6))
+    bench.run()
+    assert bench.of(HostOpened)
+    assert not bench.of(HostLost)
+
+
+@pytest.mark.parametrize(("is_coordinator", "advice"), [(b"\0", "set CE to 1"), (b"\1", "ATNR")])
+def test_a_module_that_finds_no_network_is_refused_with_the_reason_and_what_to_do(is_coordinator: bytes, advice: str) -> None:
+    bench = a_bench(ZIGBEE | {"AI": b"\x21", "CE": is_coordinator})
+    bench.run(40_000)
+    (lost,) = bench.of(HostLost)
+    assert isinstance(lost, HostLost)
+    assert lost.why is LostWhy.REFUSED
+    assert "AI = 0x21, no network was found on the channels of SC" in lost.detail
+    assert advice in lost.detail
+    assert bench.host.next_deadline_ns() is None
+
+
+def test_a_module_that_stops_answering_in_the_middle_is_reset_once_and_asked_anew() -> None:
+    bench = a_bench(deaf=lambda command: command == "NP" and "FR" not in bench.asked)
+    bench.run(1_600)
+    assert bench.asked[-1] == "FR"
+    assert not bench.of(HostOpened)
+    bench.say(ModemStatus(status=0))
+    bench.run(500)
+    assert bench.host.is_open
+    assert bench.asked.count("FR") == 1
+
+
+def test_a_module_in_transparent_mode_is_switched_by_text_between_silences() -> None:
+    """The silences of 1.1 s are longer than ``GT``, 1 s at the factory."""
+    bench = a_bench(deaf=lambda _: True)
+    bench.run(2_000)
+    quiet_ns = bench.now_ns
+    while b"+++" not in bench.raw:
+        bench.run(10)
+    assert bench.now_ns - quiet_ns < 2 * NS_PER_S
+    bench.run(1_000)
+    assert bench.raw[-1] == b"+++", "nothing may follow within the guard time"
+    for text in (b"ATAP2\r", b"ATCN\r"):
+        bench.events += bench.host.feed(b"O", now_ns=bench.now_ns)
+        bench.events += bench.host.feed(b"K\r", now_ns=bench.now_ns)
+        bench.exchange()
+        assert bench.raw[-1] == text
+    bench.deaf = lambda _: False
+    bench.events += bench.host.feed(b"OK\r", now_ns=bench.now_ns)
+    bench.run()
+    assert bench.host.is_open
+    assert b"ATWR\r" not in bench.raw
+
+
+def test_the_switch_is_written_into_memory_only_where_that_was_asked_for() -> None:
+    bench = a_bench(deaf=lambda _: True, config=XBeeHostConfig(keeps_mode=True))
+    bench.run(2_500)
+    for _ in range(3):
+        bench.events += bench.host.feed(b"OK\r", now_ns=bench.now_ns)
+        bench.exchange()
+    assert bench.raw[-3:] == [b"ATAP2\r", b"ATWR\r", b"ATCN\r"]
+
+
+def test_a_module_that_refuses_the_switch_is_told_of_and_tried_again() -> None:
+    bench = a_bench(deaf=lambda _: True)
+    bench.run(2_500)
+    bench.events += bench.host.feed(b"OK\r", now_ns=bench.now_ns)
+    bench.exchange()
+    for _ in range(3):
+        bench.events += bench.host.feed(b"ERROR\r", now_ns=bench.now_ns)
+        bench.exchange()
+    said = bench.events[-1]
+    assert isinstance(said, CoordinatorSaid)
+    assert "ATAP2" in said.text
+    bench.deaf = lambda _: False
+    bench.run(500)
+    assert bench.host.is_open
+
+
+def test_a_line_on_which_nobody_answers_is_tried_for_ever_and_a_half_said_frame_is_ended() -> None:
+    bench = a_bench(deaf=lambda _: True)
+    bench.run(20_000)
+    assert bench.raw.count(b"+++") >= 4
+    assert any(len(frame) > 270 and not any(frame) for frame in bench.raw)
+    assert not bench.events
+
+
+@pytest.mark.parametrize("status", sorted(DELIVERY))
+def test_every_documented_delivery_status_comes_up_as_its_outcome(status: int) -> None:
+    bench = an_open_bench()
+    tickets = [bench.send(), bench.send()]
+    for request in bench.requests:
+        bench.say(TransmitStatus(frame_id=request.frame_id, destination16=NODE, retries=0, delivery=status, discovery=0))
+    assert bench.settled == dict.fromkeys(tickets, DELIVERY[status].outcome)
+    assert len(bench.of(CoordinatorSaid)) == (status in OF_MODULE), "a fault of the module is told once"
+
+
+def test_the_outcomes_and_the_delivery_statuses_of_a_virtual_module_agree() -> None:
+    assert {status: DELIVERY[delivery].outcome for status, delivery in OUTCOME.items()} == {status: status for status in RadioStatus}
+
+
+def test_a_delivery_status_of_a_newer_firmware_is_an_unknown_outcome() -> None:
+    bench = an_open_bench()
+    ticket = bench.send()
+    bench.say(TransmitStatus(frame_id=bench.requests[0].frame_id, destination16=NODE, retries=0, delivery=0xEE, discovery=0))
+    assert bench.settled == {ticket: RadioStatus.OTHER}
+    said = bench.of(CoordinatorSaid)[0]
+    assert isinstance(said, CoordinatorSaid)
+    assert "0xEE" in said.text
+
+
+def test_a_status_for_nobody_is_counted() -> None:
+    bench = an_open_bench()
+    bench.say(TransmitStatus(frame_id=9, destination16=NODE, retries=0, delivery=0, discovery=0))
+    assert bench.host.faults == {"radio.unexpected_confirms": 1}
+
+
+def test_a_few_are_in_flight_and_each_status_lets_the_next_one_go() -> None:
+    bench = an_open_bench()
+    tickets = [bench.send(b"%d" % index) for index in range(20)]
+    assert len(bench.requests) == WINDOW
+    for index in range(20):
+        request = bench.requests[index]
+        bench.say(TransmitStatus(frame_id=request.frame_id, destination16=NODE, retries=0, delivery=0, discovery=0))
+        bench.exchange()
+    assert [request.payload for request in bench.requests] == [b"%d" % index for index in range(20)]
+    assert bench.settled == dict.fromkeys(tickets, RadioStatus.SENT)
+    assert not {request.frame_id for request in bench.requests} & {0, 1}
+
+
+def test_an_urgent_payload_does_not_wait_for_those_in_flight() -> None:
+    bench = an_open_bench()
+    for index in range(20):
+        bench.send(b"%d" % index)
+    bench.send(b"stop", is_urgent=True)
+    assert bench.requests[-1].payload == b"stop"
+
+
+def test_a_status_that_never_comes_is_an_unknown_outcome_and_blocks_nothing() -> None:
+    bench = an_open_bench()
+    tickets = [bench.send() for _ in range(WINDOW + 1)]
+    bench.run(16_000)
+    assert len(bench.requests) == WINDOW + 1
+    assert bench.settled == dict.fromkeys(tickets[:WINDOW], RadioStatus.OTHER)
+    assert bench.host.faults["xbee.status_missing"] == WINDOW
+
+
+def test_a_payload_that_is_forgotten_is_not_written_or_frees_its_place() -> None:
+    bench = an_open_bench()
+    tickets = [bench.send(b"%d" % index) for index in range(WINDOW + 2)]
+    bench.host.forget(tickets[WINDOW])
+    bench.host.forget(tickets[0])
+    bench.send(b"more")
+    assert [request.payload for request in bench.requests] == [b"0", b"1", b"2", b"3", b"5"]
+    for request in bench.requests:
+        bench.say(TransmitStatus(frame_id=request.frame_id, destination16=NODE, retries=0, delivery=0, discovery=0))
+    assert tickets[0] not in bench.settled
+    assert tickets[WINDOW] not in bench.settled
+
+
+def test_the_queue_is_bounded_but_for_what_is_urgent() -> None:
+    bench = an_open_bench()
+    for _ in range(MAX_QUEUE + WINDOW):
+        bench.send()
+    with pytest.raises(LinkFullError, match=str(MAX_QUEUE)):
+        bench.send()
+    bench.send(is_urgent=True)
+    with pytest.raises(EncodeError, match="58"):
+        bench.send(bytes(58))
+
+
+def test_a_silent_module_is_asked_three_times_and_then_lost_with_all_that_was_under_way() -> None:
+    bench = an_open_bench()
+    ticket = bench.send()
+    bench.deaf = lambda _: True
+    bench.run(8_000)
+    (lost,) = bench.of(HostLost)
+    assert isinstance(lost, HostLost)
+    assert (lost.why, lost.dropped) == (LostWhy.NO_ANSWER, (ticket,))
+    assert not bench.host.is_open
+    assert bench.host.take_frames() == []
+
+
+def test_a_module_that_answers_is_kept_for_ever() -> None:
+    bench = an_open_bench()
+    bench.run(60_000)
+    assert not bench.of(HostLost)
+    assert bench.asked[-1] == "AI"
+
+
+@pytest.mark.parametrize("status", sorted(EVENTS))
+def test_an_event_of_the_module_is_told_and_a_restart_ends_the_session(status: int) -> None:
+    bench = an_open_bench()
+    bench.say(ModemStatus(status=status))
+    said = bench.events[0]
+    assert isinstance(said, CoordinatorSaid)
+    assert EVENTS[status].text in said.text
+    assert bool(bench.of(HostLost)) == (status in RESTARTS)
+    assert bench.host.is_open == (status not in RESTARTS)
+
+
+def test_a_module_that_loses_its_network_is_opened_anew() -> None:
+    bench = an_open_bench()
+    bench.answers["AI"] = b"\x13"
+    bench.run(4_000)
+    (lost,) = bench.of(HostLost)
+    assert isinstance(lost, HostLost)
+    assert lost.why is LostWhy.RESTARTED
+    assert "left its network" in lost.detail
+
+
+def test_addresses_are_learnt_and_used() -> None:
+    bench = an_open_bench()
+    bench.send(to=NODE)
+    bench.say(heard())
+    bench.send(to=NODE)
+    bench.send(to=BROADCAST_ADDRESS)
+    assert [(one.destination64, one.destination16) for one in bench.requests] == [
+        (UNKNOWN64, NODE),
+        (EUI64, NODE),
+        (BROADCAST64, UNKNOWN16),
+    ]
+    assert bench.of(NodeSeen) == [NodeSeen(address=NODE, eui64=EUI64)]
+    bench.say(heard())
+    assert len(bench.of(NodeSeen)) == 1, "told once"
+
+
+def test_a_node_that_joins_again_is_reached_under_its_old_and_its_new_address() -> None:
+    bench = an_open_bench()
+    bench.say(heard())
+    moved = NodeIdentification(
+        sender64=EUI64, sender16=0x4321, options=2, node16=0x4321, node64=EUI64, name=b" ", parent16=0, kind=1, event=2
+    )
+    bench.say(moved)
+    for address in (NODE, 0x4321):
+        bench.send(to=address)
+    assert [(one.destination64, one.destination16) for one in bench.requests] == [(EUI64, 0x4321)] * 2
+    assert NodeSeen(address=ShortAddress(0x4321), eui64=EUI64) in bench.events
+
+
+def test_where_a_payload_was_delivered_is_learnt_from_its_status() -> None:
+    bench = an_open_bench()
+    bench.say(heard())
+    bench.send(to=NODE)
+    bench.say(TransmitStatus(frame_id=bench.requests[0].frame_id, destination16=0x1111, retries=1, delivery=0, discovery=1))
+    bench.send(to=NODE)
+    assert bench.requests[-1].destination16 == 0x1111
+
+
+def test_a_network_without_short_addresses_is_given_some() -> None:
+    bench = an_open_bench(DIGIMESH)
+    bench.say(heard(source16=UNKNOWN16), heard(source64=EUI64 + 1, source16=UNKNOWN16), heard(source16=UNKNOWN16))
+    first, second, again = [event.received.source for event in bench.events if isinstance(event, PayloadHeard)]
+    assert first == again != second
+    bench.send(to=second)
+    assert (bench.requests[0].destination64, bench.requests[0].destination16) == (EUI64 + 1, UNKNOWN16)
+    nobody = bench.send(to=next(one for one in range(1, 9) if one not in {first, second}))
+    bench.run(20)
+    assert bench.settled == {nobody: RadioStatus.UNKNOWN_ADDRESS}
+    assert len(bench.requests) == 1
+
+
+def test_explicit_endpoints_go_out_and_the_stacks_own_talk_does_not_come_up() -> None:
+    ours = Endpoints(source=1, destination=1, cluster=0x0B10, profile=0xB10B)
+    bench = an_open_bench(config=XBeeHostConfig(endpoints=ours))
+    bench.send()
+    assert bench.requests[0].endpoints == ours
+    bench.say(heard(endpoints=ours), heard(endpoints=Endpoints(profile=0, cluster=0x13)))
+    assert len(bench.of(PayloadHeard)) == 1
+    assert bench.host.faults["xbee.zdo"] == 1
+
+
+def test_a_module_that_carries_too_little_is_told_of() -> None:
+    bench = a_bench(ZIGBEE | {"NP": b"\x31"})
+    bench.run()
+    assert any("49 bytes" in event.text for event in bench.events if isinstance(event, CoordinatorSaid))
+
+
+def test_what_no_module_says_is_counted() -> None:
+    bench = an_open_bench()
+    for body in (b"\x92\0\0", b"\x90\0", encode_xbee(AtCommand(frame_id=3, command="AP"))):
+        bench.events += bench.host.feed(encode_frame(body, is_escaped=True), now_ns=bench.now_ns)
+    assert bench.host.faults == {"xbee.unknown_frame_type": 1, "xbee.bad_frame_length": 1, "xbee.wrong_direction": 1}
+
+
+@given(chunks=st.lists(st.binary(max_size=60) | st.builds(heard, source16=u16).map(
+    lambda frame: encode_frame(encode_xbee(frame), is_escaped=True)
+), max_size=10), gaps_ms=st.lists(st.integers(0, 5_000), min_size=10, max_size=10))  # fmt: skip
+def test_nothing_from_the_line_raises_in_any_state(chunks: list[bytes], gaps_ms: list[int]) -> None:
+    bench = a_bench()
+    for chunk, gap_ms in zip(chunks, gaps_ms, strict=False):
+        bench.now_ns += gap_ms * NS_PER_MS
+        bench.events += bench.host.handle_deadline(now_ns=bench.now_ns)
+        bench.events += bench.host.feed(chunk, now_ns=bench.now_ns)
+        bench.exchange()
+
+
+@given(pairs=st.lists(st.tuples(st.integers(0, 20), st.integers(0, 30) | st.just(UNKNOWN16)), max_size=200), capacity=st.integers(1, 12))
+def test_the_table_is_bounded_and_never_names_a_node_that_is_another(pairs: list[tuple[int, int]], capacity: int) -> None:
+    """Whatever was said before, the address that a frame gives leads to the node that sent the frame."""
+    table = AddressTable(capacity=capacity)
+    for eui64, address16 in pairs:
+        address, _ = table.learn(eui64=EUI64 + eui64, address16=address16)
+        assert len(table) <= capacity
+        assert 0 <= address < 0xFFF8
+        where = table.destination(address)
+        assert where is not None
+        assert where[0] == EUI64 + eui64
+        assert table.learn(eui64=EUI64 + eui64, address16=address16) == (address, False)
