@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.dialects.native import NativeHost
+from firmware_protocol.dialects.znp import ZnpHost
 
 DEFAULT_DIALECT = "native"
 
@@ -23,5 +24,9 @@ def _make_native(first_handle: int) -> Host:
     return NativeHost(first_handle=first_handle)
 
 
-_MAKERS: dict[str, Callable[[int], Host]] = {"native": _make_native}
+def _make_znp(first_handle: int) -> Host:
+    return ZnpHost(first_handle=first_handle)
+
+
+_MAKERS: dict[str, Callable[[int], Host]] = {"native": _make_native, "znp": _make_znp}
 DIALECTS = tuple(_MAKERS)

@@ -130,7 +130,9 @@ def _decode_incoming(body: bytes) -> znp.IncomingMessage | ZnpFault:
     """Decode what comes most often, and must be fast."""
     if len(body) < _INCOMING.size or len(body) < _INCOMING.size + body[_INCOMING.size - 1]:
         return ZnpFault.BAD_LENGTH
-    group, cluster, source, source_endpoint, endpoint, was_broadcast, lqi, security, timestamp, sequence, length = _INCOMING.unpack_from(body)
+    group, cluster, source, source_endpoint, endpoint, was_broadcast, lqi, security, timestamp, sequence, length = _INCOMING.unpack_from(
+        body
+    )
     return znp.IncomingMessage(
         group=group, cluster=cluster, source=source, source_endpoint=source_endpoint, destination_endpoint=endpoint,
         was_broadcast=was_broadcast, lqi=lqi, security=security, timestamp=timestamp, sequence=sequence,
@@ -171,3 +173,15 @@ def _unpack(codes: str, body: bytes) -> list[int | bytes | tuple[int, ...]] | No
             values.append(number)
         at = end
     return values
+
+
+def answered_command(reply: Reply) -> int:
+    """Return the ``Command`` of the request that a reply answers."""
+    if isinstance(reply, znp.StatusReply | znp.RpcError):
+        return reply.command
+    return _BY_KIND[type(reply)].command & ~ANSWER
+
+
+def command_of(request: Request) -> int:
+    """Return the ``Command`` of a request."""
+    return _BY_KIND[type(request)].command

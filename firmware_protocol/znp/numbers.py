@@ -85,11 +85,21 @@ class NvItem(IntEnum):
 
 
 HOST_CONFIGURED_VALUE = 0x55
-CLEAR_CONFIG_AND_STATE = 0x03
-"""Value of ``STARTUP_OPTION``: the next start forgets the network and all items of the stack."""
+CLEAR_CONFIG = 0x01
+CLEAR_STATE = 0x02
+"""Bits of ``STARTUP_OPTION``: the next start writes the stack's items anew; it forgets the network."""
 
 COORDINATOR_TYPE = 0
 """Value of ``LOGICAL_TYPE``."""
 
 BDB_FORMATION = 0x04
 """Commissioning mode of ``APP_CNF_BDB_START_COMMISSIONING``: form a network."""
+
+# --- ours: where biobots meet their base station (WIRE_FORMAT.md §9.3) ---
+
+BIOBOT_ENDPOINT = 0xB1
+"""Of the base station and of every backpack; endpoints of applications are 1 to 240."""
+BIOBOT_PROFILE = 0xCB10
+"""Out of 0xC000 to 0xFFFF, which ZigBee leaves to makers' own profiles."""
+BIOBOT_CLUSTER = 0x0001
+"""Its messages are the radio payloads of WIRE_FORMAT.md §5 and §6, as they are."""

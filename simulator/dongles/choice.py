@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from simulator.dongles.interface import Dongle
 from simulator.dongles.native import NativeDongle, NativeDongleConfig
+from simulator.dongles.znp import ZnpDongle, ZnpDongleConfig
 
 DEFAULT_DIALECT = "native"
 
@@ -20,5 +21,9 @@ def _make_native(eui64: int, pan_id: int) -> Dongle:
     return NativeDongle(config=NativeDongleConfig(eui64=eui64, pan_id=pan_id))
 
 
-_MAKERS: dict[str, Callable[[int, int], Dongle]] = {"native": _make_native}
+def _make_znp(eui64: int, pan_id: int) -> Dongle:
+    return ZnpDongle(config=ZnpDongleConfig(eui64=eui64, pan_id=pan_id))
+
+
+_MAKERS: dict[str, Callable[[int, int], Dongle]] = {"native": _make_native, "znp": _make_znp}
 DIALECTS = tuple(_MAKERS)
