@@ -15,6 +15,7 @@ Message: TypeAlias = Request | Reply | Report
 _SIZES = {"B": 1, "H": 2, "I": 4, "Q": 8}
 _COUNTED_BYTES = "*"  # one byte with the count, then so many bytes
 _COUNTED_WORDS = "@"  # one byte with the count, then so many 16-bit integers
+_REST = "~"  # bytes to the end
 _MAY_END = "?"  # what comes after was not always there; its fields have defaults
 
 
@@ -61,6 +62,8 @@ _ROWS = (
     _Row(znp.NetworkInfoReply, Command.ZDO_EXT_NWK_INFO | ANSWER, "HBHHQQB"),
     _Row(znp.DeviceInfoRequest, Command.UTIL_GET_DEVICE_INFO, ""),
     _Row(znp.DeviceInfoReply, Command.UTIL_GET_DEVICE_INFO | ANSWER, "BQHBB@"),
+    _Row(znp.AssociatedRequest, Command.UTIL_ASSOC_FIND_DEVICE, "B"),
+    _Row(znp.AssociatedReply, Command.UTIL_ASSOC_FIND_DEVICE | ANSWER, "~"),
     _Row(znp.CommissioningRequest, Command.APP_CNF_BDB_START_COMMISSIONING, "B"),
     _Row(znp.CommissioningReport, 0x4F80, "BBB"),
     _Row(znp.SetChannelRequest, Command.APP_CNF_BDB_SET_CHANNEL, "BI"),
@@ -141,6 +144,8 @@ def _decode_incoming(body: bytes) -> znp.IncomingMessage | ZnpFault:
 
 
 def _pack(code: str, value: int | bytes | tuple[int, ...]) -> bytes:
+    if code == _REST and isinstance(value, bytes):
+        return value
     if isinstance(value, bytes):
         return bytes((len(value),)) + value
     if isinstance(value, tuple):
@@ -156,6 +161,9 @@ def _unpack(codes: str, body: bytes) -> list[int | bytes | tuple[int, ...]] | No
         if code == _MAY_END:
             may_end = True
             continue
+        if code == _REST:
+            values.append(body[at:])
+            break
         is_counted = code in {_COUNTED_BYTES, _COUNTED_WORDS}
         size = 1 if is_counted else _SIZES[code]
         if may_end and at + size > len(body):

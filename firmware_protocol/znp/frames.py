@@ -324,6 +324,20 @@ class DeviceInfoReply:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AssociatedRequest:
+    """Ask for the entry of the table of associated devices with this index."""
+
+    index: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssociatedReply:
+    """Tell it as it stands in the chip's memory: 28 octets where structures are packed, as on a CC253x, 36 where they are aligned."""
+
+    entry: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CommissioningRequest:
     """Start a commissioning of Z-Stack 3."""
 
@@ -357,14 +371,14 @@ class RequireKeyExchangeRequest:
 Request: TypeAlias = (
     ResetRequest | PingRequest | VersionRequest | ExtendedAddressRequest | NvInitRequest | NvReadRequest | NvWriteRequest
     | NvDeleteRequest | NvLengthRequest | ExtendedNvLengthRequest | ExtendedNvReadRequest | RegisterRequest | DataRequest
-    | StartupRequest | PermitJoinRequest | NetworkInfoRequest | DeviceInfoRequest | CommissioningRequest | SetChannelRequest
+    | StartupRequest | PermitJoinRequest | NetworkInfoRequest | DeviceInfoRequest | AssociatedRequest | CommissioningRequest | SetChannelRequest
     | RequireKeyExchangeRequest
 )  # fmt: skip
 """What the base station says."""
 
 Reply: TypeAlias = (
     StatusReply | RpcError | PingReply | VersionReply | ExtendedAddressReply | NvReadReply | NvLengthReply | ExtendedNvLengthReply
-    | ExtendedNvReadReply | NetworkInfoReply | DeviceInfoReply
+    | ExtendedNvReadReply | NetworkInfoReply | DeviceInfoReply | AssociatedReply
 )  # fmt: skip
 """What answers a request."""
 

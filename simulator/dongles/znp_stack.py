@@ -33,6 +33,8 @@ _N_HANDLES = 1 << 16
 _TICK_NS = 320_000
 """Unit of timestamps: a back-off period of IEEE 802.15.4 at 2.4 GHz."""
 _NO_ADDRESS = 0xFFFE
+_NOBODY = _NO_ADDRESS.to_bytes(2, "little")
+"""Beginning of a table entry that holds no device."""
 _ALL_KINDS = 7
 _ANY_PAN = 0xFFFF
 
@@ -64,6 +66,11 @@ class ZStack(Enum):
     def capabilities(self) -> int:
         """A bit for each subsystem that is compiled in."""
         return 0x0179 if self is ZStack.V1_2 else 0x0659
+
+    @property
+    def entry_size(self) -> int:
+        """Octets of an entry in the table of associated devices, packed or aligned."""
+        return 28 if self is ZStack.V1_2 else 36
 
 
 @dataclass(slots=True, kw_only=True)
@@ -167,6 +174,8 @@ class ZnpStack:
                 return self._device_info()
             case znp.NetworkInfoRequest():
                 return self._network_info()
+            case znp.AssociatedRequest():
+                return znp.AssociatedReply(entry=_NOBODY.ljust(self.firmware.entry_size, b"\x00"))
             case _:
                 return None
 
