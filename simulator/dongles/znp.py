@@ -35,6 +35,9 @@ _SYNCHRONOUS = 0x20
 _BAD_SUBSYSTEM, _BAD_COMMAND, _BAD_LENGTH = 1, 2, 4
 _SUBSYSTEMS = frozenset({0x01, 0x04, 0x05, 0x07, 0x0F})
 _RADIUS_LEFT = 30
+_FIRST_TRUST_CENTER_KEY = (1, 4, 0)
+"""Z-Stack's own table (system 1) of trust-centre link keys (item 4), its first entry."""
+_NO_KEY = bytes(20)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +84,8 @@ class ZnpDongle:
         }
         if self.config.firmware is not ZStack.V1_2:
             factory[NvItem.BDB_IS_ON_NETWORK] = b"\x00"
-        self.memory = ZnpMemory(factory=factory)
+        extended = {} if self.config.firmware is ZStack.V1_2 else {_FIRST_TRUST_CENTER_KEY: _NO_KEY}
+        self.memory = ZnpMemory(factory=factory, extended=extended)
         self._stack = self._make_stack()
 
     @property
@@ -105,8 +109,7 @@ class ZnpDongle:
                 self.faults[body.value] += 1
                 continue
             self._host_until_ns = now_ns + _HOST_NS
-            self._obey(body, now_ns)
-            if not self._is_on:
+            if self._obey(body, now_ns):
                 return  # what came behind the command to reset fell into the reset
 
     def take_bytes(self) -> bytes:
@@ -141,9 +144,8 @@ class ZnpDongle:
             self.faults["uplink_full"] += 1
             return False
         body = encode_command(self._stack.hear(received, now_ns=now_ns))
-        if self.config.firmware is not ZStack.V1_2:
-            body += struct.pack("<HB", received.source, _RADIUS_LEFT)  # the last hop, and what is left of the radius
-        self._outgoing += encode_frame(body)
+        # What no document tells and every firmware of today adds: the last hop, and what is left of the radius.
+        self._outgoing += encode_frame(body + struct.pack("<HB", received.source, _RADIUS_LEFT))
         return True
 
     def confirm(self, handle: int, status: RadioStatus, *, now_ns: int) -> None:  # noqa: ARG002  # the interface's
@@ -181,7 +183,8 @@ class ZnpDongle:
         )  # fmt: skip
         self._say([indication])
 
-    def _obey(self, body: bytes, now_ns: int) -> None:
+    def _obey(self, body: bytes, now_ns: int) -> bool:
+        """Do what the host wants; return whether that was a reset."""
         message = decode_command(body)
         if isinstance(message, ZnpFault):
             self._refuse(body, message)
@@ -195,6 +198,7 @@ class ZnpDongle:
                 self._refuse(body, ZnpFault.UNKNOWN_COMMAND)
         else:
             self.faults["wrong_direction"] += 1
+        return isinstance(message, znp.ResetRequest)
 
     def _refuse(self, body: bytes, fault: ZnpFault) -> None:
         """Answer a request that is not understood, as Z-Stack does."""

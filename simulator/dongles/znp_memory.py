@@ -26,6 +26,8 @@ class ZnpMemory:
 
     factory: dict[int, bytes]
     items: dict[int, bytes] = field(default_factory=dict)
+    extended: dict[tuple[int, int, int], bytes] = field(default_factory=dict)
+    """Items of the newer layout, by system, item and sub-item; empty in a chip that has none."""
     network: ZnpNetwork | None = None
 
     def __post_init__(self) -> None:
@@ -64,6 +66,11 @@ class ZnpMemory:
                 return self._delete(request)
             case znp.NvLengthRequest():
                 return znp.NvLengthReply(length=len(self.items.get(request.item, b"")))
+            case znp.ExtendedNvLengthRequest() if self.extended:
+                key = (request.system, request.item, request.sub_item)
+                return znp.ExtendedNvLengthReply(length=len(self.extended.get(key, b"")))
+            case znp.ExtendedNvReadRequest() if self.extended:
+                return self._read_extended(request)
             case _:
                 return None
 
@@ -85,6 +92,15 @@ class ZnpMemory:
         if request.offset >= len(value):
             return znp.NvReadReply(status=ZnpStatus.INVALID_PARAMETER, value=b"")
         return znp.NvReadReply(status=ZnpStatus.SUCCESS, value=value[request.offset : request.offset + _LONGEST_READ])
+
+    def _read_extended(self, request: znp.ExtendedNvReadRequest) -> znp.ExtendedNvReadReply:
+        value = self.extended.get((request.system, request.item, request.sub_item))
+        if value is None:
+            return znp.ExtendedNvReadReply(status=ZnpStatus.NV_OPERATION_FAILED, value=b"")
+        end = request.offset + min(request.length, _LONGEST_READ)
+        if end > len(value):
+            return znp.ExtendedNvReadReply(status=ZnpStatus.INVALID_PARAMETER, value=b"")
+        return znp.ExtendedNvReadReply(status=ZnpStatus.SUCCESS, value=value[request.offset : end])
 
     def _write(self, request: znp.NvWriteRequest) -> znp.StatusReply:
         """Write into an item that is there and long enough."""
