@@ -3,7 +3,8 @@
 An opening (``znp_opening``) makes the dongle a coordinator; from then on payloads go to and come from one endpoint of a profile of our own.
 One synchronous request is outstanding at a time. A request that is not answered makes the next one a ping, and until that is answered no
 other answer counts: the dongle answers in order, so an answer that is late can never be taken for another's; an opening then begins anew,
-with a ping as it always does. A payload is never written twice. Three silences in a row are the end.
+with a ping as it always does. A payload is never written twice. Three silences in a row are the end. Every few seconds the dongle is asked
+whether it still has its network.
 """
 
 from collections import Counter
@@ -49,7 +50,8 @@ from firmware_protocol.znp.numbers import BIOBOT_CLUSTER, BIOBOT_ENDPOINT, Comma
 
 _PATIENCE_NS = 1_500 * NS_PER_MS
 _N_SILENCES = 3
-_IDLE_NS = 5 * NS_PER_S
+_CHECK_NS = 5 * NS_PER_S
+"""How often the dongle is asked whether it still has its network."""
 _PERMIT_NS = 200 * NS_PER_S
 """How often a network that is to stay open is opened again: Z-Stack closes it after 254 s at most."""
 _BACK_OFF_NS = 100 * NS_PER_MS
@@ -115,7 +117,7 @@ class ZnpHost:
         self._next_receipt = 1
         self._window = SendWindow(next_transaction=first_handle % 256)
         self._n_openings = 0
-        self._idle_at_ns = 0
+        self._check_at_ns = 0
         self._permit_at_ns: int | None = None
 
     def open(self, *, session: int, now_ns: int) -> list[HostEvent]:  # noqa: ARG002  # the dialect has no sessions
@@ -156,7 +158,7 @@ class ZnpHost:
             return self._awaited_until_ns
         if not self.is_open:
             return None
-        deadlines = [self._idle_at_ns]
+        deadlines = [self._check_at_ns]
         if self._permit_at_ns is not None:
             deadlines.append(self._permit_at_ns)
         if self._window.has_unsent:
@@ -193,7 +195,6 @@ class ZnpHost:
             elif self._opening is not None:
                 events += self._take_opening(message, now_ns)
             elif self.is_open:
-                self._idle_at_ns = now_ns + _IDLE_NS
                 events += self._take(message, now_ns)
             else:
                 self.faults["znp.not_open"] += 1
@@ -212,7 +213,7 @@ class ZnpHost:
             case znp.ResetIndication(reason=reason):
                 return [self._lose(LostWhy.RESTARTED, f"it has restarted (reason {reason}: 0 power, 1 reset, 2 watchdog)")]
             case znp.StateChange(state=state) if state != DeviceState.COORDINATOR:
-                return [self._lose(LostWhy.RESTARTED, f"it is no coordinator any more (state 0x{state:02X})")]
+                return [self._lose_network(state)]
             case _ if isinstance(message, Reply):
                 return self._take_answer(message, now_ns)
             case _:
@@ -236,6 +237,8 @@ class ZnpHost:
             return []
         self._outstanding = None
         self._n_silences = 0
+        if isinstance(reply, znp.NetworkInfoReply) and reply.state != DeviceState.COORDINATOR:
+            return [self._lose_network(reply.state)]
         if outstanding.transaction is None:
             return []
         status = reply.status if isinstance(reply, znp.StatusReply) else int(ZnpStatus.FAILURE)
@@ -279,9 +282,9 @@ class ZnpHost:
                 name = Command(command_of(self._outstanding.request)).name
                 return [self._lose(LostWhy.NO_ANSWER, f"{_N_SILENCES} requests in a row were not answered, the last one {name}")]
             self._ask(znp.PingRequest(), now_ns + _PATIENCE_NS)
-        elif now_ns >= self._idle_at_ns:
-            self._idle_at_ns = now_ns + _IDLE_NS
-            self._ask(znp.PingRequest(), now_ns + _PATIENCE_NS)
+        elif now_ns >= self._check_at_ns:
+            self._check_at_ns = now_ns + _CHECK_NS
+            self._ask(znp.NetworkInfoRequest(), now_ns + _PATIENCE_NS)
         elif self._permit_at_ns is not None and now_ns >= self._permit_at_ns:
             self._permit_at_ns = now_ns + _PERMIT_NS
             self._ask(permit_join(self._config.permit_join_s), now_ns + _PATIENCE_NS)
@@ -348,10 +351,13 @@ class ZnpHost:
         self._opening = None
         self.is_open = True
         self._n_silences = 0
-        self._idle_at_ns = now_ns + _IDLE_NS
+        self._check_at_ns = now_ns + _CHECK_NS
         keeps_open = self._config.permit_join_s == 254
         self._permit_at_ns = now_ns + _PERMIT_NS if keeps_open else None
         return [HostOpened(), CoordinatorIdentified(hello=opened.hello, description=opened.description)]
+
+    def _lose_network(self, state: int) -> HostLost:
+        return self._lose(LostWhy.RESTARTED, f"it is no coordinator any more (state 0x{state:02X})")
 
     def _lose(self, why: LostWhy, detail: str) -> HostLost:
         return HostLost(why=why, detail=detail, dropped=self._forget_all())

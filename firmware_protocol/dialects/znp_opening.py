@@ -228,6 +228,8 @@ def _register() -> Generator[Step, Came, None]:
 
 def _hello(version: znp.VersionReply, *, eui64: int) -> Generator[Step, Came, CoordinatorHello]:
     network = yield from _ask(znp.NetworkInfoRequest(), znp.NetworkInfoReply)
+    if network.state != DeviceState.COORDINATOR:
+        raise OpeningEndedError(LostWhy.NO_ANSWER, f"it said that it had a network, and has none (state 0x{network.state:02X})")
     return CoordinatorHello(
         firmware=version.major << 8 | version.minor,
         eui64=eui64,

@@ -371,8 +371,8 @@ class RequireKeyExchangeRequest:
 Request: TypeAlias = (
     ResetRequest | PingRequest | VersionRequest | ExtendedAddressRequest | NvInitRequest | NvReadRequest | NvWriteRequest
     | NvDeleteRequest | NvLengthRequest | ExtendedNvLengthRequest | ExtendedNvReadRequest | RegisterRequest | DataRequest
-    | StartupRequest | PermitJoinRequest | NetworkInfoRequest | DeviceInfoRequest | AssociatedRequest | CommissioningRequest | SetChannelRequest
-    | RequireKeyExchangeRequest
+    | StartupRequest | PermitJoinRequest | NetworkInfoRequest | DeviceInfoRequest | AssociatedRequest | CommissioningRequest
+    | SetChannelRequest | RequireKeyExchangeRequest
 )  # fmt: skip
 """What the base station says."""
 
