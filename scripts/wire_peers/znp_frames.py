@@ -1,8 +1,8 @@
 """Encode and decode MT frames with zigpy-znp: JSON in, JSON out.
 
 Run by the tests with the Python of .venv-wire-peers (make wire-peers). Standard input is an object with "decode", a list of frames in
-hexadecimal, and "encode", a list of [command, {field: value}]; standard output has the same keys, with [command, {field: value}] for each
-frame and a frame for each command. Byte strings are written in hexadecimal.
+hexadecimal, and "encode", a list of [command, [value of each field]]; standard output has the same keys, with [command, [value, ...]]
+for each frame and a frame for each command. Byte strings are written in hexadecimal.
 zigpy-znp is under the GPL; nothing of the project imports it, and this program imports nothing of the project.
 """
 
@@ -28,15 +28,15 @@ def decode(frame: bytes) -> list[object]:
     assert not rest
     kind = c.COMMANDS_BY_ID[transport.payload.header]
     command = kind.from_frame(transport.payload)
-    return [kind.__qualname__, {param.name: plain(getattr(command, param.name)) for param in kind.schema}]
+    return [kind.__qualname__, [plain(getattr(command, param.name)) for param in kind.schema]]
 
 
-def encode(name: str, values: dict[str, object]) -> str:
+def encode(name: str, values: list[object]) -> str:
     """Return a command's frame."""
     kind: object = c
     for part in name.split("."):
         kind = getattr(kind, part)
-    fields = {param.name: typed(param.type, values[param.name]) for param in kind.schema}
+    fields = {param.name: typed(param.type, value) for param, value in zip(kind.schema, values, strict=True)}
     return TransportFrame(kind(**fields).to_frame()).serialize().hex()
 
 
