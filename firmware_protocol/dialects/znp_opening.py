@@ -41,7 +41,8 @@ _FLUSH = _SKIP_BYTE * 256
 
 _WAKING_NS = 500 * NS_PER_MS
 _BOOTING_NS = 1_000 * NS_PER_MS
-_RESET_NS = 10 * NS_PER_S
+_RESET_LOOKS = 5
+"""How often a reset is looked for, ``_LOOK_NS`` each: a chip that clears its memory takes some seconds."""
 _LOOK_NS = 2 * NS_PER_S
 _FORMING_LOOKS = 30
 """How often the state is looked at before forming is given up: a minute; an energy scan of all channels takes some 10 s."""
@@ -186,8 +187,7 @@ def _has_network(*, is_old: bool) -> Generator[Step, Came, bool]:
 def _form(config: ZnpHostConfig, *, is_old: bool) -> Generator[Step, Came, None]:
     yield from _write_item(NvItem.STARTUP_OPTION, bytes((CLEAR_CONFIG | CLEAR_STATE,)))
     yield Write(data=encode_frame(encode_command(znp.ResetRequest(kind=1))))
-    if (yield Await(kind=znp.ResetIndication, patience_ns=_RESET_NS)) is None:
-        raise OpeningEndedError(LostWhy.NO_ANSWER, f"it did not come back from a reset within {_RESET_NS // NS_PER_S} s")
+    yield from _await_reset()
     yield from _write_item(NvItem.LOGICAL_TYPE, bytes((COORDINATOR_TYPE,)))
     yield from _write_item(NvItem.PANID, config.pan_id.to_bytes(2, "little"))
     yield from _write_item(NvItem.CHANLIST, config.channels.to_bytes(4, "little"))
@@ -200,6 +200,14 @@ def _form(config: ZnpHostConfig, *, is_old: bool) -> Generator[Step, Came, None]
     started = yield from _ask(znp.CommissioningRequest(mode=BDB_FORMATION), znp.StatusReply)
     if started.status != ZnpStatus.SUCCESS:
         raise OpeningEndedError(LostWhy.REFUSED, f"it does not form a network: status 0x{started.status:02X}")
+
+
+def _await_reset() -> Generator[Step, Came, None]:
+    for _ in range(_RESET_LOOKS):
+        if (yield Await(kind=znp.ResetIndication, patience_ns=_LOOK_NS)) is not None:
+            return
+        yield Say(level=0, name="resetting", text="it clears its memory")
+    raise OpeningEndedError(LostWhy.NO_ANSWER, f"it did not come back from a reset within {_RESET_LOOKS * _LOOK_NS // NS_PER_S} s")
 
 
 def _await_coordinator() -> Generator[Step, Came, None]:
