@@ -4,6 +4,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 PEERS := .venv-peers
+WIRE_PEERS := .venv-wire-peers
 ARGS ?=
 
 help:  ## list the targets
@@ -66,6 +67,10 @@ bench-rips: venv  ## Rips persistence beside GUDHI, ripser.py and giotto-ph, in 
 	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt -r requirements/peers.txt
 	$(PEERS)/bin/python -m studies.bench_rips $(ARGS)
 
+wire-peers:  ## make .venv-wire-peers with zigpy-znp and zigpy-xbee (GPL), which tests run as programs of their own
+	sh scripts/bootstrap.sh $(WIRE_PEERS)
+	$(WIRE_PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/wire-peers.txt
+
 bench-live: venv  ## 2,000 encounters/s into a store of 500,000: age of the map, the API, the gateway, losses, restart (minutes)
 	$(PY) -m studies.bench_live $(ARGS)
 
@@ -83,6 +88,6 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) $(PEERS) simulator/engine/*.so mapper/kernels/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-rips bench-live campaign-walls check-kernels lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-rips wire-peers bench-live campaign-walls check-kernels lock docker-check clean

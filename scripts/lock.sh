@@ -1,6 +1,6 @@
 #!/bin/sh
 # Pin every dependency with hashes: one file for development and tests, one for each service's image, one to put beside the first
-# for what persistence is compared with.
+# for what persistence is compared with, one for what the wire's dialects are held against.
 # The files hold no addresses, so they work with whichever registry pip is set up for.
 set -eu
 command -v uv >/dev/null || { echo "error: uv is needed to resolve for all Python versions: pip install uv" >&2; exit 1; }
@@ -10,3 +10,5 @@ for extra in dev gateway mapper simulator; do
 done
 uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 --extra peers --constraint requirements/dev.txt \
   pyproject.toml --output-file requirements/peers.txt
+uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 --extra wire-peers --constraint requirements/dev.txt \
+  pyproject.toml --output-file requirements/wire-peers.txt

@@ -6,6 +6,7 @@ from firmware_protocol.dialects.can import DEFAULT_UNIT, make_can_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.dialects.native import NativeHost
 from firmware_protocol.dialects.xbee import XBeeHost
+from firmware_protocol.dialects.znp import ZnpHost
 
 DEFAULT_DIALECT = "native"
 
@@ -34,6 +35,10 @@ def _make_xbee(first_handle: int) -> Host:  # noqa: ARG001  # frame ids have no 
     return XBeeHost()
 
 
-_MAKERS: dict[str, Callable[[int], Host]] = {"native": _make_native, "xbee": _make_xbee}
+def _make_znp(first_handle: int) -> Host:
+    return ZnpHost(first_handle=first_handle)
+
+
+_MAKERS: dict[str, Callable[[int], Host]] = {"native": _make_native, "xbee": _make_xbee, "znp": _make_znp}
 CAN_DIALECTS = ("can", "canfd")
 DIALECTS = (*_MAKERS, *CAN_DIALECTS)

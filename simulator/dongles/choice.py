@@ -9,6 +9,7 @@ from simulator.dongles.can import CanDongle
 from simulator.dongles.interface import Dongle
 from simulator.dongles.native import NativeDongle, NativeDongleConfig
 from simulator.dongles.xbee import XBeeDongle, XBeeDongleConfig
+from simulator.dongles.znp import ZnpDongle, ZnpDongleConfig
 
 DEFAULT_DIALECT = "native"
 
@@ -39,7 +40,11 @@ def _make_xbee(eui64: int, pan_id: int, *, mode: int = 2) -> Dongle:
     return XBeeDongle(config=XBeeDongleConfig(eui64=eui64, pan_id=pan_id, memory={"CE": 1, "AP": mode}))
 
 
-_MAKERS: dict[str, Callable[[int, int], Dongle]] = {"native": _make_native, "xbee": _make_xbee}
+def _make_znp(eui64: int, pan_id: int) -> Dongle:
+    return ZnpDongle(config=ZnpDongleConfig(eui64=eui64, pan_id=pan_id))
+
+
+_MAKERS: dict[str, Callable[[int, int], Dongle]] = {"native": _make_native, "xbee": _make_xbee, "znp": _make_znp}
 _VARIANTS: dict[str, Callable[[int, int], Dongle]] = {
     "xbee-ap0": partial(_make_xbee, mode=0),
     "xbee-ap1": partial(_make_xbee, mode=1),

@@ -1,0 +1,112 @@
+"""Payloads on their way to a Z-Stack dongle: which may be written next, and which wait to be confirmed (WIRE_FORMAT.md §9.5)."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from firmware_protocol.errors import LinkFullError
+from firmware_protocol.units import NS_PER_S, ShortAddress
+
+MAX_QUEUE = 256
+"""Payloads that wait to be written; more are refused."""
+
+WINDOW = 4
+"""Payloads whose confirm has not come: few, for a chip of 8 KiB has buffers for few. An urgent one waits for none of them."""
+
+_CONFIRM_NS = 12 * NS_PER_S
+"""After so long a payload holds its place in the window no more; Z-Stack's own last word, that an indirect transmission has expired, comes
+after 8 s. Whose number comes round again is past being confirmed."""
+
+_N_TRANSACTIONS = 256
+
+
+@dataclass(slots=True)
+class Unsent:
+    """A payload that waits to be written."""
+
+    ticket: int
+    destination: ShortAddress
+    payload: bytes
+
+
+@dataclass(slots=True)
+class _Unconfirmed:
+    """A payload that was written; ``until_ns`` is when it gives up its place in the window. Its confirm is good after that too."""
+
+    ticket: int
+    until_ns: int
+
+
+@dataclass(slots=True, kw_only=True)
+class SendWindow:
+    """See the module. Each payload gets a ticket; each that is written gets one of 256 transaction numbers, in turn."""
+
+    next_transaction: int = 0
+    _next_ticket: int = 1
+    _urgent: deque[Unsent] = field(default_factory=deque)
+    _unsent: deque[Unsent] = field(default_factory=deque)
+    _unconfirmed: dict[int, _Unconfirmed] = field(default_factory=dict)
+    _held_until_ns: int = 0
+
+    @property
+    def has_unsent(self) -> bool:
+        """Something waits to be written."""
+        return bool(self._urgent or self._unsent)
+
+    def add(self, *, destination: ShortAddress, payload: bytes, is_urgent: bool) -> int:
+        """Queue a payload and return its ticket.
+
+        Raises
+        ------
+        LinkFullError
+            ``MAX_QUEUE`` payloads wait. An urgent one is taken all the same.
+        """
+        if len(self._unsent) >= MAX_QUEUE and not is_urgent:
+            raise LinkFullError(limit=MAX_QUEUE)
+        ticket = self._next_ticket
+        self._next_ticket += 1
+        (self._urgent if is_urgent else self._unsent).append(Unsent(ticket, destination, payload))
+        return ticket
+
+    def forget(self, ticket: int) -> None:
+        """Wait no more for what became of a payload; one that was not written yet is not."""
+        for queue in (self._urgent, self._unsent):
+            for one in [one for one in queue if one.ticket == ticket]:
+                queue.remove(one)
+        for transaction in [number for number, one in self._unconfirmed.items() if one.ticket == ticket]:
+            del self._unconfirmed[transaction]
+
+    def free_at_ns(self) -> int:
+        """Return from when on ``take`` gives the payload that is next."""
+        if self._urgent or len(self._unconfirmed) < WINDOW:
+            return self._held_until_ns
+        places = sorted(one.until_ns for one in self._unconfirmed.values())
+        return max(self._held_until_ns, places[-WINDOW])
+
+    def take(self, now_ns: int) -> tuple[int, Unsent] | None:
+        """Return the payload to be written now and its transaction number, or None."""
+        queue = self._urgent or self._unsent
+        if not queue or now_ns < self.free_at_ns():
+            return None
+        one = queue.popleft()
+        transaction = self.next_transaction
+        self.next_transaction = (transaction + 1) % _N_TRANSACTIONS
+        self._unconfirmed[transaction] = _Unconfirmed(one.ticket, now_ns + _CONFIRM_NS)
+        return transaction, one
+
+    def settle(self, transaction: int) -> int | None:
+        """Return the ticket of a payload whose fate is told, and forget it; None where no payload has this number."""
+        sent = self._unconfirmed.pop(transaction, None)
+        return None if sent is None else sent.ticket
+
+    def hold(self, until_ns: int) -> None:
+        """Give nothing before ``until_ns``: the dongle has no room."""
+        self._held_until_ns = until_ns
+
+    def drop_all(self) -> tuple[int, ...]:
+        """Forget everything; return the tickets whose fate is not known."""
+        dropped = (*(one.ticket for one in self._unconfirmed.values()), *(one.ticket for one in (*self._urgent, *self._unsent)))
+        self._unconfirmed.clear()
+        self._urgent.clear()
+        self._unsent.clear()
+        self._held_until_ns = 0
+        return dropped
