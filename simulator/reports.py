@@ -4,7 +4,7 @@ import csv
 import io
 from dataclasses import dataclass, field
 
-from firmware_protocol.messages import EncounterBatch
+from firmware_protocol.messages import EncounterBatch, EncounterBatchWithPaths
 from firmware_protocol.units import BootId, NodeId
 from simulator.clock import BackpackClock
 
@@ -31,7 +31,9 @@ class ReportLog:
         """Reports that the base station has not confirmed."""
         return self.n_reports - self._n_acknowledged
 
-    def add(self, batch: EncounterBatch, *, node: NodeId, boot: BootId, sequence: int, clock: BackpackClock) -> None:
+    def add(
+        self, batch: EncounterBatch | EncounterBatchWithPaths, *, node: NodeId, boot: BootId, sequence: int, clock: BackpackClock
+    ) -> None:
         """Note a batch that goes on the air for the first time."""
         first = self.n_reports
         self.n_reports += len(batch.entries)

@@ -65,6 +65,9 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
         Written with the lines' addresses, one a line, when they are up; removed at the end.
     position_samples
         At how many instants, evenly from start to end, all positions are written.
+    imu
+        Backpacks have an inertial unit and report, with each encounter, how far they were carried since the one before: the true path
+        times a factor from 0.9 to 1.1 of each backpack's own.
     watch
         Show the insects in the terminal while they walk.
     """
@@ -89,6 +92,7 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
     out: str | None = None
     force: bool = False
     ready_file: str | None = None
+    imu: bool = False
     watch: bool = False
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201
 

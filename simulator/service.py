@@ -53,8 +53,9 @@ class Cast:
         End by itself then [s of the run]; None: on a signal.
     insects_obey
         False in a replay: commands are answered and change nothing.
-    radio, sensing, wander_ppm
-        The air between all; how encounters are formed from beacons (None: they are exact); how much clocks' rates wander.
+    radio, sensing, wander_ppm, has_imu
+        The air between all; how encounters are formed from beacons (None: they are exact); how much clocks' rates wander; whether
+        backpacks measure how far they are carried.
     observe
         Are given the world's events as they happen.
     flush
@@ -77,6 +78,7 @@ class Cast:
     radio: RadioConfig = dataclasses.field(default_factory=RadioConfig)
     sensing: SensingConfig | None = None
     wander_ppm: float = 0.0
+    has_imu: bool = False
     response: ResponseConfig = dataclasses.field(default_factory=ResponseConfig)
     metres_per_unit: float = 1.0
     speed_factor: float = 1.0
@@ -292,6 +294,7 @@ def _swarm_config(config: ServeConfig | ReplayConfig, cast: Cast, *, boot: BootI
         boot=boot,
         drift_ppm=config.drift_ppm,
         wander_ppm=cast.wander_ppm,
+        has_imu=cast.has_imu,
         sensing=sensing,
         backpack=BackpackConfig(
             report_period_ms=round(config.report_period_s * 1000),

@@ -5,8 +5,10 @@ from collections.abc import Container, Sequence
 
 from firmware_protocol.messages import Neighbour
 from firmware_protocol.units import NodeId, RssiDbm
+from simulator.errors import ParameterError
 from simulator.habitat import Habitat
 from simulator.legs import Floats
+from simulator.odometer import Odometer
 from simulator.radios.radio import Radio
 
 
@@ -31,6 +33,18 @@ class Surroundings:
     def is_known(self) -> bool:
         """It is known where the biobots are."""
         return self._world.arena is not None
+
+    def make_odometer(self, *, mm_per_unit: float, seed: int) -> Odometer:
+        """Make what measures how far everybody is carried from now on; ``mm_per_unit`` is the world's unit of length [mm].
+
+        Raises
+        ------
+        ParameterError
+            It is not known where the biobots are.
+        """
+        if not self.is_known:
+            raise ParameterError(name="imu", got=True, wanted="false, where it is not known where the biobots are")
+        return Odometer(self._nodes, places=self.places(), mm_per_unit=mm_per_unit, seed=seed)
 
     def place(self, node: NodeId) -> tuple[float, float]:
         """Return where a biobot is [length]; nan where that is unknown."""

@@ -9,9 +9,9 @@ import math
 from collections.abc import Callable, Sequence
 
 from firmware_protocol.envelope import RadioReceived
-from firmware_protocol.messages import EncounterBatch, WireCause, WireMode
+from firmware_protocol.messages import EncounterBatch, EncounterBatchWithPaths, WireCause, WireMode
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
-from simulator.backpacks.backpack import MAX_NODE, Acknowledged, Backpack, Effect, Transmission
+from simulator.backpacks.backpack import MAX_NODE, Acknowledged, Backpack, BeaconsChanged, Effect, Transmission
 from simulator.backpacks.stimulator import Actuation
 from simulator.dongles.choice import DEFAULT_DIALECT, make_dongle
 from simulator.dongles.interface import Dongle
@@ -78,6 +78,8 @@ class Swarm:
         self._radio = Radio(seed=config.seed, config=config.radio)
         self._nodes = [NodeId(one) for one in world.ids]
         self._surroundings = Surroundings(world, nodes=self._nodes, radio=self._radio)
+        mm_per_unit = 1000.0 * config.metres_per_unit
+        self._odometer = self._surroundings.make_odometer(mm_per_unit=mm_per_unit, seed=config.seed) if config.has_imu else None
         self._clocks = {node: draw_clock(node, config) for node in self._nodes}
         self._backpacks = {node: self._make_backpack(node, config) for node in self._nodes}
         self._air = Air(self._nodes, radio=self._radio, seed=config.seed)
@@ -197,9 +199,11 @@ class Swarm:
         return min(dues, default=_NEVER_NS)
 
     def _make_backpack(self, node: NodeId, config: SwarmConfig) -> Backpack:
+        odometer, clock = self._odometer, self._clocks[node]
         return Backpack(
             node=node, boot=config.boot, eui64=_EUI64_BASE + node, seed=config.seed, config=config.backpack,
             now_ms=self._clocks[node].read_ms(0), sense_neighbours=lambda: self._surroundings.neighbours(node, silent=self.silenced),
+            read_path_mm=None if odometer is None else lambda at_ms: odometer.read_mm(node, clock.elapsed_ns(at_ms)),
         )  # fmt: skip
 
     def _make_sensing(self, config: SensingConfig | None, *, places: Sequence[Place]) -> LiveSensing | None:
@@ -231,6 +235,8 @@ class Swarm:
         self._world_ns = min(now_ns, self._end_ns, self._world_ns + _LONGEST_STEP_NS)
         events = self._world.advance(self._world_ns / NS_PER_S)
         self._observe(events)
+        if self._odometer is not None:
+            self._odometer.advance(self._surroundings.places(), at_ns=self._world_ns)
         for event in events:
             match event:
                 case EncounterBegan() | EncounterEnded() if self._sensing is not None:
@@ -306,12 +312,14 @@ class Swarm:
             match effect:
                 case Transmission():
                     self._transmit(node, effect, now_ns=now_ns)
-                case Acknowledged(sequence=sequence, message=EncounterBatch()):
+                case Acknowledged(sequence=sequence, message=EncounterBatch() | EncounterBatchWithPaths()):
                     self.reports.acknowledge(node=node, sequence=sequence)
                 case Acknowledged():
                     pass
                 case Actuation():
                     self._actuate(node, effect, now_ns=now_ns)
+                case BeaconsChanged(period_ms=period_ms, exit_dbm=exit_dbm) if self._sensing is not None:
+                    self._sensing.change_beacons(node, period_ms=period_ms, exit_dbm=exit_dbm, now_ns=now_ns)
         self._plan(node)
 
     def _actuate(self, node: NodeId, actuation: Actuation, *, now_ns: int) -> None:
@@ -357,7 +365,7 @@ class Swarm:
                 self._plan(node)
 
     def _transmit(self, node: NodeId, sent: Transmission, *, now_ns: int) -> None:
-        if sent.is_first and isinstance(sent.message, EncounterBatch):
+        if sent.is_first and isinstance(sent.message, EncounterBatch | EncounterBatchWithPaths):
             self.reports.add(sent.message, node=node, boot=self._backpacks[node].boot, sequence=sent.sequence, clock=self._clocks[node])
         home, place = self._air.home_of(node), self._surroundings.place(node)
         if home is None or not self._coverage.covers(home, place):

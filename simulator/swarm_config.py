@@ -38,6 +38,8 @@ class SwarmConfig:
         False: what was done to insects and reported of them is counted only, for runs without end of which nobody asks.
     sensing
         How encounters are formed from beacons; None: they are exact.
+    has_imu
+        Backpacks measure how far they are carried, and report it with each encounter.
     dialects
         What each coordinator speaks; empty: all the native dialect.
 
@@ -59,6 +61,7 @@ class SwarmConfig:
     speed_factor: float = 1.0
     keeps_history: bool = True
     sensing: SensingConfig | None = None
+    has_imu: bool = False
     dialects: tuple[str, ...] = ()
 
 

@@ -16,10 +16,15 @@ from firmware_protocol.message_codec import decode_downlink, encode_uplink
 from firmware_protocol.messages import (
     MAX_ENCOUNTER_MS,
     MAX_ENCOUNTERS_PER_BATCH,
+    MAX_ENCOUNTERS_WITH_PATHS_PER_BATCH,
     MAX_NEIGHBOURS_PER_PART,
     Acknowledge,
+    ConfigurationRequest,
+    ConfigurationResult,
+    Configure,
     Downlink,
     EncounterBatch,
+    EncounterBatchWithPaths,
     EncounterEntry,
     Hello,
     HelloRequest,
@@ -39,24 +44,19 @@ from firmware_protocol.messages import (
 from firmware_protocol.units import BootId, NodeId, RssiDbm
 from simulator import chance
 from simulator.backpacks.backpack_config import BackpackConfig
-from simulator.backpacks.contacts import Contact, tick, whole_dbm
+from simulator.backpacks.contacts import Contact, PathMeter, tick, whole_dbm
 from simulator.backpacks.outbox import Outbox
+from simulator.backpacks.self_description import SelfDescription
+from simulator.backpacks.settings import Settings
 from simulator.backpacks.stimulator import Actuation, Outcome, Stimulator
 from simulator.errors import ParameterError
 from simulator.radios.proximity import Closed, Opened, ProximityLogger
-
-CAN_BE_STIMULATED = 1
-"""Bit 0 of the capabilities (WIRE_FORMAT.md §5.2)."""
 
 MAX_NODE = 0xFFFE
 
 _SPREAD_STREAM = 202
 _MAX_NEIGHBOURS = 250  # the table's size in this model: the strongest are told
 _MODULUS = 1 << 16
-
-# The voltage is taken to fall evenly over the battery's life to the 2.0 V at which a CC2530 stops (its datasheet).
-_FULL_MV = 3_000
-_EMPTY_MV = 2_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +78,15 @@ class Acknowledged:
     message: Uplink
 
 
-Effect: TypeAlias = Transmission | Acknowledged | Actuation
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BeaconsChanged:
+    """The backpack now sends a beacon every ``period_ms`` of its clock, and makes use of beacons at least as strong as ``exit_dbm``."""
+
+    period_ms: int
+    exit_dbm: float
+
+
+Effect: TypeAlias = Transmission | Acknowledged | Actuation | BeaconsChanged
 """What a call brings about outside the backpack."""
 
 
@@ -95,11 +103,13 @@ class Backpack:
         What its clock shows at first.
     sense_neighbours
         Asked when a report is due: who is heard within communication range now.
+    read_path_mm
+        What its inertial unit had measured by an instant of its clock: the path since boot [mm]; None where it has no such unit.
     """
 
     def __init__(
         self, *, node: NodeId, boot: BootId, eui64: int, seed: int, config: BackpackConfig, now_ms: int,
-        sense_neighbours: Callable[[], Sequence[Neighbour]],
+        sense_neighbours: Callable[[], Sequence[Neighbour]], read_path_mm: Callable[[int], float] | None = None,
     ) -> None:  # fmt: skip
         if not 0 <= node <= MAX_NODE:
             raise ParameterError(name="node", got=node, wanted=f"0 to {MAX_NODE}")
@@ -109,10 +119,16 @@ class Backpack:
         self.n_ignored = 0
         self.mode = WireMode.CRW
         self.cause = WireCause.NATURAL
-        self._eui64 = eui64
+        self._description = SelfDescription(eui64=eui64, boot=boot, booted_ms=now_ms, config=config, has_imu=read_path_mm is not None)
         self._seed = seed
         self._config = config
         self._sense_neighbours = sense_neighbours
+        self._path_meter = None if read_path_mm is None else PathMeter(read_mm=read_path_mm)
+        self._batch_size = MAX_ENCOUNTERS_PER_BATCH if read_path_mm is None else MAX_ENCOUNTERS_WITH_PATHS_PER_BATCH
+        self._settings = Settings.at_boot(config)
+        self._answer_at_ms: int | None = None
+        self._answer = self._settings.report(0, ConfigurationResult.DONE)
+        self._has_told_start = False
         self._outbox = Outbox(biobot=node, seed=seed, config=config.outbox)
         self._stimulator = Stimulator()
         self._logger = None if config.proximity is None else ProximityLogger(config=config.proximity)
@@ -120,7 +136,7 @@ class Backpack:
         self._buffer: deque[EncounterEntry] = deque()
         self._n_unacknowledged = 0
         self._flush_at_ms: int | None = None
-        self._since_ms = self._booted_ms = now_ms
+        self._since_ms = now_ms
         self._n_spread = 0
         self._hello_at_ms: int | None = self._spread(now_ms)
         self._status_at_ms: int | None = self._hello_at_ms
@@ -139,11 +155,14 @@ class Backpack:
     @property
     def is_settled(self) -> bool:
         """Nothing is left to say: no contact is open, and the base station has everything."""
-        return self._hello_at_ms is None and not self._contacts and not self._buffer and self._outbox.is_empty
+        has_told = self._hello_at_ms is None and self._answer_at_ms is None
+        return has_told and not self._contacts and not self._buffer and self._outbox.is_empty
 
     def begin_encounter(self, peer: NodeId, *, start_ms: int, rssi_dbm: RssiDbm) -> None:
         """Sense that ``peer`` came within detection range."""
-        self._contacts[peer] = Contact(start_ms=start_ms, rssi_dbm=rssi_dbm, next_report_ms=start_ms + self._config.provisional_ms)
+        path_mm = None if self._path_meter is None else self._path_meter.mark(start_ms)
+        next_report_ms = start_ms + self._config.provisional_ms
+        self._contacts[peer] = Contact(start_ms=start_ms, rssi_dbm=rssi_dbm, next_report_ms=next_report_ms, path_mm=path_mm)
 
     def end_encounter(self, peer: NodeId, *, end_ms: int, now_ms: int) -> None:
         """Sense that ``peer`` went; nothing happens where no encounter with it had begun."""
@@ -200,8 +219,8 @@ class Backpack:
     def next_due_ms(self) -> int | None:
         """Return when ``poll`` is to be called at the latest; a time already past means now, None never."""
         dues = [contact.next_report_ms for contact in self._contacts.values()]
-        timers = (self._hello_at_ms, self._status_at_ms, self._neighbours_at_ms, self._stimulator.next_due_ms(), self._outbox.next_due_ms())
-        dues += [due for due in timers if due is not None]
+        own = (self._answer_at_ms, self._hello_at_ms, self._status_at_ms, self._neighbours_at_ms)
+        dues += [due for due in (*own, self._stimulator.next_due_ms(), self._outbox.next_due_ms()) if due is not None]
         if self._flush_at_ms is not None and self._outbox.n_free:
             dues.append(self._flush_at_ms)
         return min(dues, default=None)
@@ -241,11 +260,31 @@ class Backpack:
                 return [Transmission(payload=self._encode(0, reply, now_ms=now_ms), sequence=0, message=reply, is_first=True)]
             case Stimulate():
                 return list(self._settle(self._stimulator.submit(message, now_ms=now_ms), now_ms=now_ms))
+            case Configure():
+                return self._configure(message, now_ms=now_ms, is_broadcast=is_broadcast)
+            case ConfigurationRequest(token=token):
+                self._tell_settings(token, ConfigurationResult.DONE, now_ms=now_ms, is_broadcast=is_broadcast)
+                return []
+
+    def _configure(self, wanted: Configure, *, now_ms: int, is_broadcast: bool) -> list[Effect]:
+        before_ms = self._settings.beacon_period_ms
+        self._tell_settings(wanted.token, self._settings.apply(wanted), now_ms=now_ms, is_broadcast=is_broadcast)
+        period_ms, proximity = self._settings.beacon_period_ms, self._settings.proximity
+        if period_ms != before_ms:
+            self._hello_at_ms = now_ms
+        if self._logger is None or proximity is None:
+            return []
+        self._logger.config = proximity
+        return [BeaconsChanged(period_ms=period_ms, exit_dbm=proximity.exit_dbm)]
+
+    def _tell_settings(self, token: int, result: ConfigurationResult, *, now_ms: int, is_broadcast: bool) -> None:
+        self._answer = self._settings.report(token, result)  # of two requests at a time, the later one is answered
+        self._answer_at_ms = self._spread(now_ms) if is_broadcast else now_ms
 
     def _acknowledge(self, message: Acknowledge, *, now_ms: int) -> list[Effect]:
         acknowledged: list[Effect] = []
         for sequence, done in self._outbox.acknowledge(message, now_ms=now_ms):
-            if isinstance(done, EncounterBatch):
+            if isinstance(done, EncounterBatch | EncounterBatchWithPaths):
                 self._n_unacknowledged -= len(done.entries)
             acknowledged.append(Acknowledged(sequence=sequence, message=done))
         return acknowledged
@@ -274,13 +313,13 @@ class Backpack:
 
     def _tell_what_is_due(self, now_ms: int) -> None:
         if self._hello_at_ms is not None and now_ms >= self._hello_at_ms:
-            hello = Hello(
-                eui64=self._eui64,
-                firmware=self._config.firmware,
-                beacon_period_ms=self._config.beacon_period_ms,
-                capabilities=CAN_BE_STIMULATED,
-            )
-            self._hello_at_ms = None if self._outbox.put(hello) else now_ms + self._config.outbox.first_retry_ms
+            hello = self._description.hello(beacon_period_ms=self._settings.beacon_period_ms)
+            is_told = self._outbox.put(hello) and self._outbox.put(self._description.limits(now_ms=now_ms))
+            self._hello_at_ms = None if is_told else now_ms + self._config.outbox.first_retry_ms
+            if is_told and not self._has_told_start:
+                self._has_told_start = self._outbox.put(self._description.started())
+        if self._answer_at_ms is not None and now_ms >= self._answer_at_ms:
+            self._answer_at_ms = None if self._outbox.put(self._answer) else now_ms + self._config.outbox.first_retry_ms
         if self._status_at_ms is not None and now_ms >= self._status_at_ms:
             self._status_at_ms = now_ms + self._config.status_period_ms
             if not self._outbox.holds(Status):
@@ -291,8 +330,7 @@ class Backpack:
                 self._tell_neighbours()
 
     def _tell_status(self, *, now_ms: int | None = None) -> None:
-        age_ms = (self._since_ms if now_ms is None else now_ms) - self._booted_ms
-        battery_mv = max(_EMPTY_MV, _FULL_MV - (_FULL_MV - _EMPTY_MV) * age_ms // self._config.battery_life_ms)
+        battery_mv = self._description.battery_mv(self._since_ms if now_ms is None else now_ms)
         self._outbox.put(
             Status(
                 mode=self.mode, cause=self.cause, mode_since_ms=tick(self._since_ms), battery_mv=battery_mv,
@@ -319,6 +357,7 @@ class Backpack:
                 cut_ms = contact.start_ms + MAX_ENCOUNTER_MS
                 self._store(peer, contact, end_ms=cut_ms, now_ms=now_ms)
                 contact.start_ms = cut_ms
+                contact.path_mm = None if self._path_meter is None else self._path_meter.mark(cut_ms)
 
     def _store(self, peer: NodeId, contact: Contact, *, end_ms: int, now_ms: int) -> None:
         if self.n_buffered >= self._config.capacity:
@@ -328,19 +367,19 @@ class Backpack:
 
     def _keep(self, entry: EncounterEntry, *, now_ms: int) -> None:
         self._buffer.append(entry)
-        if len(self._buffer) >= MAX_ENCOUNTERS_PER_BATCH:
+        if len(self._buffer) >= self._batch_size:
             self._flush_at_ms = now_ms
         elif self._flush_at_ms is None:
-            self._flush_at_ms = now_ms + self._config.report_period_ms
+            self._flush_at_ms = now_ms + self._settings.report_period_ms
 
     def _fill_batches(self, now_ms: int) -> None:
         while self._buffer and self._outbox.n_free:
             is_due = self._flush_at_ms is not None and now_ms >= self._flush_at_ms
-            if len(self._buffer) < MAX_ENCOUNTERS_PER_BATCH and not is_due:
+            if len(self._buffer) < self._batch_size and not is_due:
                 return
-            entries = tuple(self._buffer.popleft() for _ in range(min(len(self._buffer), MAX_ENCOUNTERS_PER_BATCH)))
+            entries = tuple(self._buffer.popleft() for _ in range(min(len(self._buffer), self._batch_size)))
             self._n_unacknowledged += len(entries)
-            self._outbox.put(EncounterBatch(entries=entries))
+            self._outbox.put(EncounterBatch(entries=entries) if self._path_meter is None else EncounterBatchWithPaths(entries=entries))
             if not self._buffer:
                 self._flush_at_ms = None
 

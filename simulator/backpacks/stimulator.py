@@ -3,13 +3,20 @@
 from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 
-from firmware_protocol.messages import Action, Stimulate, StimulationResult, WireCause, WireMode
+from firmware_protocol.messages import OWN_CHANNEL, Action, Stimulate, StimulationResult, Waveform, WireCause, WireMode
 
 # Pulse limits of this model. Frequency and duration: the RoboRoach firmware's maxima (github.com/BackyardBrains/RoboRoach,
-# StimulusGenerator.c). Amplitude: the largest tried on hissing cockroaches by Erickson et al., PLoS ONE 2015.
+# StimulusGenerator.c). Amplitude: the largest tried on hissing cockroaches by Erickson et al., PLoS ONE 2015. Pulse width, of one phase:
+# somewhat above the 9 ms of the RoboRoach.
 MAX_FREQUENCY_HZ = 150
 MAX_AMPLITUDE_MV = 4_000
 MAX_DURATION_MS = 1_000
+MAX_PULSE_WIDTH_US = 10_000
+
+CHANNELS = 0b111
+"""Both antennae and the cerci."""
+
+WAVEFORMS = 1 << Waveform.SYMMETRIC_BIPHASIC | 1 << Waveform.ASYMMETRIC_BIPHASIC
 
 _MAX_QUEUED = 4
 _MAX_REMEMBERED = 32
@@ -54,7 +61,8 @@ class Stimulator:
     A stop is executed at once, whatever runs or waits and whatever its pulse parameters (unfit ones stop the insect without a
     train): what waits behind it is answered EXPIRED. Any other command waits while a pulse train runs, at most four of them, and is
     refused if it waits longer than its time to live. DONE says that the train was delivered, not that the insect responded to it. A
-    turn without a train is answered BAD_PARAMETER. When the hold of a stop is over, the insect is let go; when that of a start or
+    turn without a train, and a pulse that does not fit into its period, is answered BAD_PARAMETER; a train beyond the limits that the
+    backpack announces, REFUSED_LIMIT. When the hold of a stop is over, the insect is let go; when that of a start or
     turn is, it is left to itself as it is. The last 32 commands are remembered, so that a repetition is answered and not obeyed.
     """
 
@@ -77,9 +85,9 @@ class Stimulator:
             return [*overtaken, self._execute(command, now_ms=now_ms)]
         if any(one.command == command.command for one, _ in self._queue):
             return []  # its answer will come when it is decided
-        if not _is_fit(command) or (command.action is not Action.START and command.duration_ms == 0):
+        if not _is_well_formed(command) or (command.action is not Action.START and command.duration_ms == 0):
             return [self._decide(command, StimulationResult.BAD_PARAMETER, now_ms=now_ms)]
-        if len(self._queue) >= _MAX_QUEUED:
+        if not _is_within_limits(command) or len(self._queue) >= _MAX_QUEUED:
             return [self._decide(command, StimulationResult.REFUSED_LIMIT, now_ms=now_ms)]
         self._queue.append((command, now_ms))
         return self.poll(now_ms=now_ms)
@@ -111,7 +119,7 @@ class Stimulator:
         return min(dues, default=None)
 
     def _execute(self, command: Stimulate, *, now_ms: int) -> Outcome:
-        has_train = _is_fit(command) and command.duration_ms > 0
+        has_train = _is_well_formed(command) and _is_within_limits(command) and command.duration_ms > 0
         self._train_until_ms = now_ms + (command.duration_ms if has_train else 0)
         mode: WireMode | None = None
         match command.action:
@@ -135,14 +143,23 @@ class Stimulator:
         return outcome
 
 
-def _is_fit(command: Stimulate) -> bool:
+def _is_well_formed(command: Stimulate) -> bool:
     if command.duration_ms == 0:
         return True  # no train at all
-    # A bipolar pulse, both phases counted in its width, must fit into one period.
-    fits_period = 0 < command.pulse_width_us * command.frequency_hz <= _US_PER_S
+    # All phases of a pulse, each of the pulse width, must fit into one period (WIRE_FORMAT.md §6.5).
+    n_phases = 1 if command.waveform is Waveform.MONOPHASIC else 2
+    return 0 < n_phases * command.pulse_width_us * command.frequency_hz <= _US_PER_S
+
+
+def _is_within_limits(command: Stimulate) -> bool:
+    if command.duration_ms == 0:
+        return True
+    has_channel = command.channel == OWN_CHANNEL or bool(CHANNELS >> command.channel & 1)
     return (
-        fits_period
+        has_channel
+        and bool(WAVEFORMS >> command.waveform & 1)
         and command.frequency_hz <= MAX_FREQUENCY_HZ
+        and command.pulse_width_us <= MAX_PULSE_WIDTH_US
         and command.amplitude_mv <= MAX_AMPLITUDE_MV
         and command.duration_ms <= MAX_DURATION_MS
     )

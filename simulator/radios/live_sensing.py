@@ -6,7 +6,7 @@ after the step in which it ended.
 
 import heapq
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,7 +80,8 @@ class LiveSensing:
         self._receiver = Receiver(seed=config.seed, channel=self._channel, n_octets=BEACON_OCTETS, bursts=bursts)
         carrier_sense = CarrierSense(self._channel, ids=ids, place=self._place)
         self._medium = Medium(seed=config.seed, hears=carrier_sense if radio.hidden_nodes else None, is_shared=radio.csma)
-        self._schedule = BeaconSchedule(seed=config.seed, period_ns=round(config.period_s * _NS_PER_S))
+        schedule = BeaconSchedule(seed=config.seed, period_ns=round(config.period_s * _NS_PER_S))
+        self._schedules = dict.fromkeys(self._nodes, schedule)
         self._dues: list[tuple[int, int, int]] = []
         self._is_off: set[NodeId] = set()
         self._beacons: set[int] = set()
@@ -93,7 +94,7 @@ class LiveSensing:
         self.n_not_sent = 0
         self.airtime_ns = 0
         for node in nodes:
-            self._plan_beacon(node, self._schedule.number_at(clocks[node].read_ms(0)))
+            self._plan_beacon(node, schedule.number_at(clocks[node].read_ms(0)))
 
     def offer(self, node: NodeId, *, n_octets: int, now_ns: int) -> int:
         """Let a report of ``n_octets`` of payload try for the channel; return its ticket."""
@@ -114,6 +115,21 @@ class LiveSensing:
         self._is_off.add(node)
         self._dues = [due for due in self._dues if due[1] != node]
         heapq.heapify(self._dues)
+
+    def change_beacons(self, node: NodeId, *, period_ms: int, exit_dbm: float, now_ns: int) -> None:
+        """Let a backpack send a beacon every ``period_ms`` of its clock from now on, and tell it of all that are at least so strong."""
+        if exit_dbm < self._exit_dbm:
+            self._exit_dbm = exit_dbm
+            self._reach = self._channel.reach(exit_dbm)
+        period_ns = period_ms * 1_000_000
+        if node in self._is_off or period_ns == self._schedules[node].period_ns:
+            return
+        self._schedules[node] = replace(self._schedules[node], period_ns=period_ns)
+        n_planned = len(self._dues)
+        self._dues = [due for due in self._dues if due[1] != node]
+        heapq.heapify(self._dues)
+        if len(self._dues) < n_planned:  # none is planned any more once beacons are silenced
+            self._plan_beacon(node, self._schedules[node].number_at(self._clocks[node].read_ms(now_ns)))
 
     def advance(self, until_ns: int, *, places: Floats) -> tuple[list[Heard], list[Carried]]:
         """Move to ``until_ns``, where everybody is then at ``places`` (shape (n, 2) [m]); return what was heard, in order of time."""
@@ -178,7 +194,7 @@ class LiveSensing:
         return one.ticket in self._reports
 
     def _plan_beacon(self, node: NodeId, number: int) -> None:
-        due_ns = self._clocks[node].elapsed_ns(self._schedule.due_ms(node, number))
+        due_ns = self._clocks[node].elapsed_ns(self._schedules[node].due_ms(node, number))
         heapq.heappush(self._dues, (due_ns, node, number))
 
     def _with_coordinator(self, places: Floats) -> Floats:
