@@ -117,14 +117,14 @@ class XBeeHost:
         self._unreachable.clear()
         self._decoder = make_decoder(is_escaped=True)
         self._opening = Opening(now_ns=now_ns, patience_ns=self._config.patience_ns, keeps_mode=self._config.keeps_mode)
-        return self._follow_opening(now_ns)
+        return self._follow(self._opening, now_ns)
 
     def feed(self, chunk: bytes, *, now_ns: int) -> list[HostEvent]:
         """Take bytes from the line, cut anywhere."""
         events: list[HostEvent] = []
         if self._opening is not None and self._opening.is_textual:
             events += self._opening.take_text(chunk, now_ns=now_ns)
-            events += self._follow_opening(now_ns)
+            events += self._follow(self._opening, now_ns)
         for body in self._decoder.feed(chunk):
             if isinstance(body, FrameFault):
                 self.faults[f"frame.{body.value}"] += 1
@@ -169,7 +169,7 @@ class XBeeHost:
     def handle_deadline(self, *, now_ns: int) -> list[HostEvent]:
         """Ask again, or give the module up."""
         if self._opening is not None:
-            return self._opening.handle_deadline(now_ns=now_ns) + self._follow_opening(now_ns)
+            return self._opening.handle_deadline(now_ns=now_ns) + self._follow(self._opening, now_ns)
         events: list[HostEvent] = []
         for ticket in self._sendings.give_up(now_ns=now_ns):
             self.faults["xbee.status_missing"] += 1
@@ -185,11 +185,8 @@ class XBeeHost:
                 self._ask_at_ns = now_ns + self._config.strike_ns
         return events
 
-    def _follow_opening(self, now_ns: int) -> list[HostEvent]:
+    def _follow(self, opening: Opening, now_ns: int) -> list[HostEvent]:
         """Take what an opening has to write, and see whether it has ended."""
-        opening = self._opening
-        if opening is None:
-            return []
         self._frames += opening.outgoing
         opening.outgoing.clear()
         is_escaped = opening.is_escaped is not False
@@ -267,7 +264,7 @@ class XBeeHost:
     def _take_answer(self, answer: AtResponse, events: list[HostEvent], now_ns: int) -> None:
         if self._opening is not None:
             events += self._opening.take_answer(answer, now_ns=now_ns)
-            events += self._follow_opening(now_ns)
+            events += self._follow(self._opening, now_ns)
         elif self._is_open and answer.command == "AI" and answer.status == AT_OK:
             state = int.from_bytes(answer.value[:1], "big")
             if state != ASSOCIATED:
@@ -280,7 +277,7 @@ class XBeeHost:
         events.append(CoordinatorSaid(level=level, name="event", text=f"0x{event.status:02X}: {text}"))
         if self._opening is not None:
             self._opening.take_event(event, now_ns=now_ns)
-            events += self._follow_opening(now_ns)
+            events += self._follow(self._opening, now_ns)
         elif self._is_open and event.status in RESTARTS:
             events.append(self._lose(LostWhy.RESTARTED, text))
 

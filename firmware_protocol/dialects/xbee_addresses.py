@@ -86,7 +86,7 @@ class AddressTable:
     def _allot(self, eui64: int) -> int:
         """Return a short address that no known node has; there is one, because there are more of them than the table holds."""
         self._has_allotted = True
-        candidate = (eui64 ^ eui64 >> 16 ^ eui64 >> 32 ^ eui64 >> 48) % _N_ALLOTTED
+        candidate = ((eui64 ^ eui64 >> 16 ^ eui64 >> 32 ^ eui64 >> 48) & 0xFFFF) % _N_ALLOTTED
         while candidate + 1 in self._eui64_of:
             candidate = (candidate + 1) % _N_ALLOTTED
         return candidate + 1

@@ -217,8 +217,7 @@ def _encode_from_module(frame: FromModule) -> bytes:
             return _MODEM.pack(0x8A, frame.status)
         case Receive():
             return _encode_receive(frame)
-        case NodeIdentification():
-            return _encode_identification(frame)
+    return _encode_identification(frame)
 
 
 def _encode_receive(frame: Receive) -> bytes:

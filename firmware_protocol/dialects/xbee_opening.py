@@ -170,10 +170,8 @@ class Opening:
                 return self._try_line_again(now_ns)
             case Stage.QUESTIONS | Stage.NETWORK:
                 return self._try_question_again(now_ns)
-            case Stage.RESET:
+            case _:  # it has had time to start again; an opening that has ended is not asked any more
                 self._begin(now_ns)
-            case Stage.DONE | Stage.REFUSED:
-                pass
         return []
 
     def _try_question_again(self, now_ns: int) -> list[HostEvent]:

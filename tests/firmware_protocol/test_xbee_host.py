@@ -198,6 +198,60 @@ def test_a_module_that_stops_answering_in_the_middle_is_reset_once_and_asked_ane
     assert bench.asked.count("FR") == 1
 
 
+def test_a_module_that_does_not_even_obey_the_reset_is_asked_from_the_beginning() -> None:
+    is_deaf = True
+    bench = a_bench(deaf=lambda command: is_deaf and command != "AP")
+    bench.run(15_000)
+    assert bench.asked.count("AP") >= 3
+    assert not bench.of(HostOpened)
+    is_deaf = False
+    bench.run(10_000)
+    assert bench.host.is_open
+
+
+def test_what_is_queued_before_the_module_opens_goes_out_then() -> None:
+    bench = a_bench()
+    ticket = bench.send()
+    bench.run()
+    assert len(bench.requests) == 1
+    bench.say(TransmitStatus(frame_id=bench.requests[0].frame_id, destination16=NODE, retries=0, delivery=0, discovery=0))
+    assert bench.settled == {ticket: RadioStatus.SENT}
+
+
+def test_a_lost_host_takes_no_notice_and_can_be_opened_again() -> None:
+    bench = an_open_bench()
+    bench.say(ModemStatus(status=0))
+    bench.events.clear()
+    bench.say(heard(), ModemStatus(status=6), AtResponse(frame_id=1, command="AI", status=AT_OK, value=b"\0"))
+    assert not bench.of(PayloadHeard)
+    assert not bench.of(HostLost)
+    assert bench.host.handle_deadline(now_ns=bench.now_ns) == []
+    assert bench.host.next_deadline_ns() is None
+    bench.host.open(session=2, now_ns=bench.now_ns)
+    bench.run()
+    assert bench.host.is_open
+
+
+def test_a_reset_while_opening_begins_the_opening_anew() -> None:
+    bench = a_bench(ZIGBEE | {"AI": b"\xff", "AP": b"\1"})
+    bench.run(500)
+    bench.answers["AP"] = b"\2"  # what is in its memory
+    bench.events += bench.host.feed(encode_frame(encode_xbee(ModemStatus(status=0)), is_escaped=False), now_ns=bench.now_ns)
+    bench.answers["AI"] = b"\0"
+    bench.run(1_000)
+    assert bench.host.is_open
+    bench.say(heard(payload=b"\x11"))
+    assert len(bench.of(PayloadHeard)) == 1
+
+
+def test_an_answer_that_is_no_answer_to_the_knock_is_passed_over() -> None:
+    bench = a_bench(deaf=lambda _: True)
+    bench.run(2_500)
+    bench.events += bench.host.feed(b"ERROR\rOK\r", now_ns=bench.now_ns)
+    bench.exchange()
+    assert bench.raw[-1] == b"ATAP2\r"
+
+
 def test_a_module_in_transparent_mode_is_switched_by_text_between_silences() -> None:
     """The silences of 1.1 s are longer than ``GT``, 1 s at the factory."""
     bench = a_bench(deaf=lambda _: True)
@@ -243,6 +297,14 @@ def test_a_module_that_refuses_the_switch_is_told_of_and_tried_again() -> None:
     bench.deaf = lambda _: False
     bench.run(500)
     assert bench.host.is_open
+
+
+def test_a_line_of_text_without_an_answer_is_said_again_after_what_may_be_left_of_it_is_ended() -> None:
+    bench = a_bench(deaf=lambda _: True)
+    bench.run(2_500)
+    bench.events += bench.host.feed(b"OK\r", now_ns=bench.now_ns)
+    bench.run(1_050)
+    assert bench.raw[-3:] == [b"ATAP2\r", b"\r", b"ATAP2\r"]
 
 
 def test_a_line_on_which_nobody_answers_is_tried_for_ever_and_a_half_said_frame_is_ended() -> None:
@@ -324,6 +386,20 @@ def test_a_payload_that_is_forgotten_is_not_written_or_frees_its_place() -> None
         bench.say(TransmitStatus(frame_id=request.frame_id, destination16=NODE, retries=0, delivery=0, discovery=0))
     assert tickets[0] not in bench.settled
     assert tickets[WINDOW] not in bench.settled
+
+
+def test_frame_ids_of_payloads_that_were_forgotten_are_not_used_again_before_their_status() -> None:
+    bench = an_open_bench()
+    for _ in range(260):
+        bench.host.forget(bench.send())
+    assert len(bench.requests) == len({request.frame_id for request in bench.requests}) == 254
+    last = bench.send()
+    bench.say(TransmitStatus(frame_id=77, destination16=NODE, retries=0, delivery=0, discovery=0))
+    bench.exchange()
+    assert bench.requests[-1].frame_id == 77
+    assert not bench.settled
+    bench.say(TransmitStatus(frame_id=77, destination16=NODE, retries=0, delivery=0, discovery=0))
+    assert bench.settled == {last: RadioStatus.SENT}
 
 
 def test_the_queue_is_bounded_but_for_what_is_urgent() -> None:
@@ -475,3 +551,11 @@ def test_the_table_is_bounded_and_never_names_a_node_that_is_another(pairs: list
         assert where is not None
         assert where[0] == EUI64 + eui64
         assert table.learn(eui64=EUI64 + eui64, address16=address16) == (address, False)
+
+
+def test_nodes_that_would_be_allotted_the_same_address_get_two() -> None:
+    table = AddressTable()
+    first, second = (table.learn(eui64=eui64, address16=UNKNOWN16)[0] for eui64 in (0x1_0000, 0x1))
+    assert first != second
+    assert table.destination(first) == (0x1_0000, UNKNOWN16)
+    assert table.destination(second) == (0x1, UNKNOWN16)

@@ -333,6 +333,45 @@ def test_a_node_that_joins_is_told_and_found() -> None:
     assert len(bench.wait(500)) == 1
 
 
+def test_a_discovery_in_an_empty_network_finds_nothing() -> None:
+    bench = a_formed_bench()
+    assert bench.say(AtCommand(frame_id=9, command="ND")) == []
+    assert bench.wait(500) == []
+
+
+def test_a_network_reset_forms_the_network_anew() -> None:
+    bench = a_formed_bench()
+    assert bench.at("NR").status == AT_OK
+    assert bench.at("AI").value == b"\xff"
+    assert bench.wait(500) == [ModemStatus(status=6)]
+
+
+def test_a_command_without_a_frame_id_is_obeyed_and_not_answered() -> None:
+    bench = a_formed_bench()
+    assert bench.say(AtCommand(frame_id=0, command="NI", value=b"MUTE")) == []
+    assert bench.at("NI").value == b"MUTE"
+
+
+def test_a_host_is_there_while_it_speaks() -> None:
+    bench = a_formed_bench()
+    seen = [bench.dongle.is_open]
+    bench.at("VR")
+    for wait_ms in (9_000, 2_000):
+        bench.wait(wait_ms)
+        seen.append(bench.dongle.is_open)
+    assert seen == [False, True, False]
+
+
+def test_what_a_host_should_not_say_is_counted() -> None:
+    bench = a_formed_bench()
+    for body in (b"\x92", b"\x10", encode_xbee(ModemStatus(status=0))):
+        bench.dongle.feed(encode_frame(body, is_escaped=True), now_ns=bench.now_ns)
+    bench.dongle.feed(b"\x7e\xff\xff", now_ns=bench.now_ns)
+    assert bench.dongle.faults == {"unknown_frame_type": 1, "bad_frame_length": 1, "wrong_direction": 1, "too_long": 1}
+    zdo = TransmitRequest(frame_id=1, destination64=UNKNOWN64, destination16=NODE, payload=b"x", endpoints=Endpoints(profile=0))
+    assert [one.delivery for one in bench.say(zdo) if isinstance(one, TransmitStatus)] == [0x15]
+
+
 @pytest.mark.parametrize(
     ("destination64", "destination16", "goes_to"),
     [
@@ -417,7 +456,7 @@ def test_command_mode_opens_between_two_silences_and_not_otherwise() -> None:
     assert bench.text(b"atni roof\rATNI\r") == b"OK\rroof\r"
     assert bench.text(b"ATAO5\rATZZ\rHELLO\rATAO\r") == b"ERROR\rERROR\rERROR\r0\r"
     assert bench.text(b"ATAOx\rATND\r") == b"ERROR\rERROR\r"
-    assert bench.text(b"ATVR,SL,AP,CN\r") == b"100D\r0\r0\rOK\r"
+    assert bench.text(b"ATVR,SL,AP,CN\rATNI\r") == b"100D\r0\r0\rOK\r"
     assert bench.text(b"ATNI\r", wait_ms=1_200) == b"", "it has left command mode, and this is data"
     assert bench.text(b"+++", wait_ms=500) == b""
     assert bench.text(b"x", wait_ms=1_500) == b"", "no silence after"
