@@ -11,7 +11,7 @@ import pytest
 from firmware_protocol.envelope import CoordinatorConfigured, RadioReceived
 from firmware_protocol.units import RssiDbm, ShortAddress
 from gateway.__main__ import main
-from gateway.configuring import configuration_request, configure
+from gateway.coordinator_setup import configuration_request, configure
 from gateway.errors import TransportClosedError, TransportSpecError
 from gateway.transports.spec import parse_port_spec
 from simulator.dongles.choice import make_dongle
