@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 
 from simulator.config import WorldConfig
+from simulator.lines.faults import FaultConfig
 from simulator.lines.line import parse_line
 from simulator.response import ResponseConfig
 
@@ -67,6 +68,8 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
         At how many instants, evenly from start to end, all positions are written.
     watch
         Show the insects in the terminal while they walk.
+    faults
+        What goes wrong on the lines and in the coordinators.
     """
 
     link: str | tuple[str, ...] | None = None
@@ -90,6 +93,7 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
     force: bool = False
     ready_file: str | None = None
     watch: bool = False
+    faults: FaultConfig = msgspec.field(default_factory=FaultConfig)
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201
 
     @property

@@ -6,6 +6,7 @@ from firmware_protocol.units import BootId, NodeId
 from simulator import chance
 from simulator.backpacks.backpack_config import BackpackConfig
 from simulator.clock import BackpackClock, DriftingClock
+from simulator.lines.faults import FaultConfig
 from simulator.radios.coverage import CoverageConfig
 from simulator.radios.radio import RadioConfig
 from simulator.radios.sensing import SensingConfig
@@ -40,6 +41,8 @@ class SwarmConfig:
         How encounters are formed from beacons; None: they are exact.
     dialects
         What each coordinator speaks; empty: all the native dialect.
+    faults
+        What goes wrong in the coordinators.
 
     References
     ----------
@@ -60,6 +63,7 @@ class SwarmConfig:
     keeps_history: bool = True
     sensing: SensingConfig | None = None
     dialects: tuple[str, ...] = ()
+    faults: FaultConfig = field(default_factory=FaultConfig)
 
 
 def draw_clock(node: NodeId, config: SwarmConfig) -> BackpackClock:
