@@ -5,6 +5,7 @@ from typing import Annotated
 
 import msgspec
 
+from simulator.lines.faults import FaultConfig
 from simulator.serve_config import Duration, Period, check_links, split_links
 
 
@@ -43,6 +44,7 @@ class ReplayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     out: str | None = None
     force: bool = False
     ready_file: str | None = None
+    faults: FaultConfig = msgspec.field(default_factory=FaultConfig)
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201
 
     @property

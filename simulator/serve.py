@@ -19,6 +19,7 @@ from simulator.config_sources import load_config
 from simulator.doors import Doors
 from simulator.errors import ParameterError
 from simulator.events import Event
+from simulator.lines.faults import FaultFlag
 from simulator.lines.line import EXAMPLES, LineSpec, parse_line
 from simulator.log import EventLog, set_up_logging
 from simulator.output import OutputDirectory
@@ -82,6 +83,12 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
         type=_place,
         metavar="X,Y",
         help="where a coordinator is; again for each further --link (default: spread over the arena)",
+    )
+    parser.add_argument(
+        "--fault",
+        action=FaultFlag,
+        metavar="KEY=VALUE",
+        help="a fault of lines and dongles, as bit-flip=1e-4 or unplug=0.1; may come again",
     )
     parser.add_argument("--coverage-radius", type=float, metavar="R", help="how far a coordinator is heard (default: everywhere)")
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 
 from simulator.config import WorldConfig
+from simulator.lines.faults import FaultConfig
 from simulator.lines.line import parse_line
 from simulator.response import ResponseConfig
 
@@ -70,6 +71,8 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
         times a factor from 0.9 to 1.1 of each backpack's own.
     watch
         Show the insects in the terminal while they walk.
+    faults
+        What goes wrong on the lines and in the coordinators.
     """
 
     link: str | tuple[str, ...] | None = None
@@ -94,6 +97,7 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
     ready_file: str | None = None
     imu: bool = False
     watch: bool = False
+    faults: FaultConfig = msgspec.field(default_factory=FaultConfig)
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201
 
     @property

@@ -19,6 +19,7 @@ from simulator.errors import LineError
 from simulator.events import Event
 from simulator.habitat import Habitat
 from simulator.lines.carrier import Carrier, open_line
+from simulator.lines.faults import FaultDraws
 from simulator.lines.line import LineSpec
 from simulator.log import EventLog
 from simulator.pictures.watch import Watch
@@ -141,7 +142,11 @@ class Service:
                 "serve.ready", line=", ".join(addresses), biobots=len(self._world.ids), speed=self._config.speed_factor, boot=self.boot
             )  # fmt: skip
             async with asyncio.TaskGroup() as group:
-                tasks = [group.create_task(work) for carrier in self._carriers for work in (carrier.receive(), carrier.send())]
+                tasks = [
+                    group.create_task(work)
+                    for carrier in self._carriers
+                    for work in (carrier.receive(), carrier.send(), carrier.misbehave())
+                ]
                 await self._pace()
                 for task in tasks:
                     task.cancel()
@@ -179,6 +184,7 @@ class Service:
             "rejoined": swarm.n_rejoined,
             "out_of_coverage_at_the_end": swarm.n_uncovered,
             "line_faults": self._line_faults(),
+            "injected_faults": [carrier.injected for carrier in self._carriers],
             "air": swarm.air_counts,
         }
 
@@ -195,7 +201,9 @@ class Service:
             self._carriers[index].pump()
             self._wake.set()
 
-        return Carrier(self._swarm.coordinators[index], line=line, feed=feed)
+        faults = self._config.faults.of_line(index)
+        draws = None if faults is None else FaultDraws(config=faults, seed=self._cast.seed, line=index)
+        return Carrier(self._swarm.coordinators[index], line=line, feed=feed, faults=draws)
 
     async def _pace(self) -> None:
         drained_ns: int | None = None
@@ -265,6 +273,7 @@ class Service:
             dropped=swarm.n_dropped,
             lost_with_backpacks=swarm.n_lost,
             line_faults=self._line_faults(),
+            **({"injected": injected} if any(injected := [carrier.injected for carrier in self._carriers]) else {}),
         )
 
     def _observe(self, events: Sequence[Event]) -> None:
@@ -313,6 +322,7 @@ def _swarm_config(config: ServeConfig | ReplayConfig, cast: Cast, *, boot: BootI
         speed_factor=cast.speed_factor,
         keeps_history=config.out is not None,
         dialects=dialects,
+        faults=config.faults,
     )
 
 

@@ -18,6 +18,7 @@ from simulator.dongles.interface import Dongle
 from simulator.errors import ParameterError
 from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.habitat import Habitat
+from simulator.lines.faulty_dongle import with_faults
 from simulator.radios.air import Air, DownlinkArrival, SendingDone, UplinkArrival
 from simulator.radios.coverage import Coverage, CoverageConfig, Place, spread_places
 from simulator.radios.live_sensing import LiveSensing
@@ -57,7 +58,10 @@ class Swarm:
             raise ParameterError(name="biobots", got=world.ids[-1], wanted=f"ids up to {MAX_NODE}: a node number has 16 bits")
         coverage = config.coverage or CoverageConfig(places=(_middle(world),))
         dialects = config.dialects or (DEFAULT_DIALECT,) * len(coverage.places)
-        self.coordinators = tuple(make_dongle(dialect, index=index) for index, dialect in enumerate(dialects))
+        self.coordinators = tuple(
+            with_faults(make_dongle(dialect, index=index), config.faults, seed=config.seed, line=index)
+            for index, dialect in enumerate(dialects)
+        )
         self.reports = ReportLog(keeps_rows=config.keeps_history)
         self._steering = Steering(
             world,

@@ -6,6 +6,7 @@ from firmware_protocol.units import BootId, NodeId
 from simulator import chance
 from simulator.backpacks.backpack_config import BackpackConfig
 from simulator.clock import BackpackClock, DriftingClock
+from simulator.lines.faults import FaultConfig
 from simulator.radios.coverage import CoverageConfig
 from simulator.radios.radio import RadioConfig
 from simulator.radios.sensing import SensingConfig
@@ -42,6 +43,8 @@ class SwarmConfig:
         Backpacks measure how far they are carried, and report it with each encounter.
     dialects
         What each coordinator speaks; empty: all the native dialect.
+    faults
+        What goes wrong in the coordinators.
 
     References
     ----------
@@ -63,6 +66,7 @@ class SwarmConfig:
     sensing: SensingConfig | None = None
     has_imu: bool = False
     dialects: tuple[str, ...] = ()
+    faults: FaultConfig = field(default_factory=FaultConfig)
 
 
 def draw_clock(node: NodeId, config: SwarmConfig) -> BackpackClock:

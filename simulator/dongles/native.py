@@ -78,7 +78,12 @@ class NativeDongle:
         return self._link.state is LinkState.OPEN
 
     def start(self, *, now_ns: int) -> None:  # noqa: ARG002  # the interface's
-        """Switch the coordinator on: it asks for a session."""
+        """Switch the coordinator on, with empty memory: it asks for a session."""
+        self._link = Link(role=Role.RESPONDER, config=self.config.link)
+        self._decoder = CobsDecoder()
+        self.requests.clear()
+        self._n_in_radio = 0
+        self._has_said_hello = False
         self._link.announce_restart()
 
     def feed(self, chunk: bytes, *, now_ns: int) -> None:

@@ -5,6 +5,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from simulator.dongles.interface import Dongle
+from simulator.lines.faults import FaultDraws
+from simulator.lines.faulty_dongle import FaultyDongle
+from simulator.lines.faulty_line import FaultyLine
 from simulator.lines.line import LineSpec, SerialEnd
 from simulator.lines.serial_port import SerialPortEnd
 from simulator.lines.slcan_port import SlcanEnd
@@ -25,11 +28,14 @@ class Carrier:
     ----------
     feed
         Takes what comes from the gateway.
+    faults
+        What goes wrong on the line; None: nothing.
     """
 
-    def __init__(self, coordinator: Dongle, *, line: SerialEnd, feed: Callable[[bytes], None]) -> None:
+    def __init__(self, coordinator: Dongle, *, line: SerialEnd, feed: Callable[[bytes], None], faults: FaultDraws | None = None) -> None:
         self._coordinator = coordinator
-        self._line = line
+        self._faulty_line = None if faults is None else FaultyLine(line, faults)
+        self._line: SerialEnd = self._faulty_line or line
         self._feed = feed
         self._backlog = bytearray()
         self._n_overruns = 0
@@ -51,6 +57,17 @@ class Carrier:
         """What came in and was of no use, and what had no room, by name."""
         faults = dict(self._coordinator.faults)
         return faults | {"overrun": self._n_overruns} if self._n_overruns else faults
+
+    @property
+    def injected(self) -> dict[str, int]:
+        """What was done to the line and its coordinator on purpose, by kind."""
+        on_line = {} if self._faulty_line is None else self._faulty_line.counts
+        return on_line | (dict(self._coordinator.counts) if isinstance(self._coordinator, FaultyDongle) else {})
+
+    async def misbehave(self) -> None:
+        """Let the faults that take time happen to the line, until cancelled; end at once where there are none."""
+        if self._faulty_line is not None:
+            await self._faulty_line.play()
 
     async def receive(self) -> None:
         """Hand on what comes from the gateway, until cancelled."""

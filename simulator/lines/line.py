@@ -35,8 +35,20 @@ class SerialEnd(Protocol):
     async def write(self, data: bytes) -> None:
         """Send bytes to the gateway; where none listens they are lost. Waits while a listener is slow."""
 
+    async def unplug(self) -> None:
+        """Pull the cable: the gateway loses the line, and does not find it again until ``plug_in``; nobody may read or write till then."""
+
+    async def plug_in(self) -> None:
+        """Put the cable back, under the same address.
+
+        Raises
+        ------
+        LineError
+            Somebody else has taken the line's place.
+        """
+
     async def aclose(self) -> None:
-        """Hang up."""
+        """Hang up, plugged in or not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -81,6 +81,16 @@ class SerialPortEnd:
                 at += written
                 await self._out.pace(written)
 
+    async def unplug(self) -> None:
+        """See ``SerialEnd``: close the port, which drops DTR; what the gateway's end makes of that is its adapter's business."""
+        if self._port is not None:
+            self._port.close()
+        self._port = None
+
+    async def plug_in(self) -> None:
+        """See ``SerialEnd``; a port that is not there yet is waited for in ``read``."""
+        self._reopen()
+
     async def aclose(self) -> None:
         """Close the port."""
         if self._port is not None:

@@ -15,6 +15,7 @@ class TcpEnd:
 
     def __init__(self, *, baud: int | None = None) -> None:
         self._in, self._out = Pacer(baud), Pacer(baud)
+        self._host, self._port = "", 0
         self._server: asyncio.Server | None = None
         self._reader: asyncio.StreamReader | None = None
         self._writer: asyncio.StreamWriter | None = None
@@ -30,18 +31,14 @@ class TcpEnd:
             The address is not ours, or the port is taken.
         """
         end = cls(baud=baud)
-        try:
-            end._server = await asyncio.start_server(end._accept, host, port)
-        except OSError as error:
-            raise LineError(line=f"tcp:{host}:{port}", problem=f"cannot listen: {error.strerror or error}; choose another port") from error
+        end._host, end._port = host, port
+        await end.plug_in()
         return end
 
     @property
     def address(self) -> str:
         """Return ``tcp:HOST:PORT`` with the port that was chosen."""
-        assert self._server is not None
-        host, port = self._server.sockets[0].getsockname()[:2]
-        return f"tcp:{host}:{port}"
+        return f"tcp:{self._host}:{self._port}"
 
     @property
     def is_connected(self) -> bool:
@@ -76,12 +73,25 @@ class TcpEnd:
                 return  # the reader notices it too, and forgets the connection
             await self._out.pace(len(piece))
 
-    async def aclose(self) -> None:
-        """Close the connection and the port."""
+    async def unplug(self) -> None:
+        """See ``SerialEnd``: drop the connection, and refuse others."""
         if self._reader is not None:
             self._forget(self._reader)
         if self._server is not None:
             self._server.close()
+        self._server = None
+
+    async def plug_in(self) -> None:
+        """See ``SerialEnd``: listen on the port."""
+        try:
+            self._server = await asyncio.start_server(self._accept, self._host, self._port)
+        except OSError as error:
+            raise LineError(line=self.address, problem=f"cannot listen: {error.strerror or error}; choose another port") from error
+        self._host, self._port = self._server.sockets[0].getsockname()[:2]
+
+    async def aclose(self) -> None:
+        """Close the connection and the port."""
+        await self.unplug()
 
     async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = writer.get_extra_info("peername")

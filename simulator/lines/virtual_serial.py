@@ -16,6 +16,9 @@ _ABSENT_POLL_S = 0.05
 """How often a pty that nobody has open is looked at: the kernel reports it as readable all the time, so it cannot be waited for."""
 
 
+_NO_TERMINAL = -1
+
+
 class PtyEnd:
     """The master side of a pseudo-terminal, under a symbolic link that keeps its name when the terminal's changes.
 
@@ -29,18 +32,12 @@ class PtyEnd:
         self._path = path
         self._lock = _take_lock(path)
         self._in, self._out = Pacer(baud), Pacer(baud)
-        self._master, slave = os.openpty()
+        self._master, self._name = _NO_TERMINAL, ""
         try:
-            tty.setraw(slave)
-            self._name = os.ttyname(slave)
-            os.set_blocking(self._master, False)
-            _place_link(path, self._name)
+            self._make_terminal()
         except BaseException:
-            os.close(self._master)
             self._drop_lock()
             raise
-        finally:
-            os.close(slave)  # held open by us, a gateway's hang-up could not be noticed
 
     @property
     def address(self) -> str:
@@ -66,15 +63,39 @@ class PtyEnd:
         """See ``SerialEnd``."""
         await write_all(self._master, data, pacer=self._out)
 
-    async def aclose(self) -> None:
-        """Hang up, and take the link away if it is still ours."""
+    async def unplug(self) -> None:
+        """See ``SerialEnd``: hang up, and take the link away if it is still ours."""
         try:
             if str(self._path.readlink()) == self._name:
                 self._path.unlink()
         except OSError:
             pass  # somebody else has taken the name, or removed it
         os.close(self._master)
+        self._master = _NO_TERMINAL
+
+    async def plug_in(self) -> None:
+        """See ``SerialEnd``: a new terminal under the old link."""
+        self._make_terminal()
+
+    async def aclose(self) -> None:
+        """Hang up, take the link away, and let others have the name."""
+        if self._master != _NO_TERMINAL:
+            await self.unplug()
         self._drop_lock()
+
+    def _make_terminal(self) -> None:
+        self._master, slave = os.openpty()
+        try:
+            tty.setraw(slave)
+            self._name = os.ttyname(slave)
+            os.set_blocking(self._master, False)
+            _place_link(self._path, self._name)
+        except BaseException:
+            os.close(self._master)
+            self._master = _NO_TERMINAL
+            raise
+        finally:
+            os.close(slave)  # held open by us, a gateway's hang-up could not be noticed
 
     def _drop_lock(self) -> None:
         Path(self._lock.name).unlink(missing_ok=True)  # while it is still held

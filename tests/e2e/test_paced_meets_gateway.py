@@ -3,16 +3,13 @@
 import asyncio
 import csv
 import json
-import subprocess
-import sys
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord, ModeRecord, Stage, StimulationAction
 from studies.ledger import check_ledger
+from tests.e2e.simulation import as_rows, current, end_of, ready, simulating
 from tests.gateway.fake_radio import until
 from tests.gateway.harness import a_config, a_request, command, listening, running
 
@@ -32,44 +29,6 @@ RECORDED = """t_start_s,t_end_s,id1,id2
 131.000,131.040,1,2
 139.980,140.000,4,100009
 """
-
-
-@contextmanager
-def simulating(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    command_line = [sys.executable, "-m", "simulator", *arguments]
-    with subprocess.Popen(command_line, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
-async def ready(process: subprocess.Popen[str], file: Path) -> list[str]:
-    await until(lambda: file.exists() or process.poll() is not None, what="the simulator is ready", timeout_s=60)
-    assert process.poll() is None, process.stderr.read() if process.stderr else ""
-    return file.read_text().split()  # noqa: ASYNC240  # a line of text on a local disk
-
-
-async def end_of(process: subprocess.Popen[str]) -> str:
-    _, told = await asyncio.to_thread(process.communicate, None, 60)
-    assert process.returncode == 0, told
-    return str(told)
-
-
-def current(records: Iterable[JournalRecord]) -> list[EncounterRecord]:
-    """The newest revision of each encounter that counts."""
-    newest = {one.identity: one for one in sorted(records, key=lambda one: one.offset) if isinstance(one, EncounterRecord)}
-    return [one for one in newest.values() if not one.is_void]
-
-
-def as_rows(records: Iterable[EncounterRecord]) -> list[Mapping[str, object]]:
-    return [
-        {
-            "node_a": one.node_a, "node_b": one.node_b, "error_ns": one.error_ns, "is_void": one.is_void,
-            "t_start_wall_ns": one.t_start_ns + one.wall_anchor_ns, "t_end_wall_ns": one.t_end_ns + one.wall_anchor_ns,
-        }
-        for one in records
-    ]  # fmt: skip
 
 
 def test_a_replayed_recording_arrives_at_the_gateway_as_exactly_its_encounters_and_a_stop_changes_nothing(tmp_path: Path) -> None:
