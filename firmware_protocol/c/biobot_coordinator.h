@@ -17,6 +17,7 @@
 #define BIOBOT_COORDINATOR_H
 
 #include "bb_port.h"
+#include "biobot_codec.h"
 
 /* major << 8 | minor */
 #ifndef BB_COORDINATOR_FIRMWARE
@@ -32,8 +33,6 @@
 #ifndef BB_COORDINATOR_RADIO_QUEUE
 #define BB_COORDINATOR_RADIO_QUEUE 16u
 #endif
-
-#define BB_MAX_RADIO_PAYLOAD 57u
 
 /* Longest frame [B] that the coordinator writes: 62 of an envelope, 4 of the link, 2 of CRC, 1 of stuffing, 2 delimiters. */
 #define BB_COORDINATOR_FRAME_SIZE 71u
