@@ -325,9 +325,10 @@ extern const struct bb_layout bb_downlink_layouts[BB_N_DOWNLINK_LAYOUTS];
 extern const struct bb_layout bb_envelope_layouts[BB_N_ENVELOPE_LAYOUTS];
 
 /* Operations of a programme. A field is followed by its place in the struct, with BB_OP_LIMITED by the smallest and largest
- * value, with BB_OP_DEFAULT by what it is where the message ends before it, as on the wire. BB_OP_ENTRIES is followed by the places
- * of count and array, the size of an entry in the array and on the wire, and the least and most entries; an entry's fields are
- * the rest of the programme. BB_OP_TAIL, all to the end of the message, by the places of pointer and length, and the most octets. */
+ * value, with BB_OP_DEFAULT by what it is where the message ends before it, as on the wire. BB_OP_ENTRIES is followed by
+ * the places of count and array, the size of an entry in the array and on the wire, and the least and most entries; an
+ * entry's fields are the rest of the programme. BB_OP_TAIL, all to the end of the message, by the places of pointer and
+ * length, and the most octets. */
 #define BB_OP_END 0u
 #define BB_OP_U8 1u
 #define BB_OP_I8 2u

@@ -129,10 +129,17 @@ static void lose(struct bb_link *link, uint8_t reason, struct bb_link_event *eve
 #endif
 }
 
+/* The link version that RESET and RESET_ACK carry; the first firmware's carry none, which means 1. */
+static uint8_t version_in(const uint8_t *payload, uint8_t length)
+{
+    return length != 0u ? payload[0] : (uint8_t)1;
+}
+
 static void accept_reset(struct bb_link *link, uint16_t session, const uint8_t *payload, uint8_t length, uint32_t now_ms,
                          struct bb_link_event *event)
 {
-    if (length == 0u || payload[0] == 0u) {
+    uint8_t newest = version_in(payload, length);
+    if (newest == 0u) {
         link->n_ignored++;
         return;
     }
@@ -141,10 +148,22 @@ static void accept_reset(struct bb_link *link, uint16_t session, const uint8_t *
         return;
     }
     begin_session(link, session);
-    link->version = payload[0] < BB_LINK_VERSION ? payload[0] : BB_LINK_VERSION;
+    link->version = newest < BB_LINK_VERSION ? newest : (uint8_t)BB_LINK_VERSION;
     link->pending = PENDING_RESET_ACK;
     opened(link, now_ms, event);
 }
+
+#if BB_LINK_INITIATOR
+static void take_reset_ack(struct bb_link *link, uint8_t version, uint32_t now_ms, struct bb_link_event *event)
+{
+    if (version == 0u || version > BB_LINK_VERSION) {
+        link->n_ignored++; /* it chose what was not offered; RESET is sent again */
+        return;
+    }
+    link->version = version;
+    opened(link, now_ms, event);
+}
+#endif
 
 static void take_data(struct bb_link *link, uint8_t sequence, const uint8_t *payload, uint8_t length, struct bb_link_event *event)
 {
@@ -284,8 +303,7 @@ void bb_link_receive(struct bb_link *link, const uint8_t *body, uint8_t length, 
 #if BB_LINK_INITIATOR
     if (link->state == BB_LINK_OPENING) {
         if (kind == RESET_ACK) {
-            link->version = length == 0u ? 1u : body[BB_LINK_HEADER_SIZE];
-            opened(link, now_ms, event);
+            take_reset_ack(link, version_in(body + BB_LINK_HEADER_SIZE, length), now_ms, event);
         }
         return;
     }
