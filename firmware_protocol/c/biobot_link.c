@@ -79,13 +79,18 @@ static uint16_t record_tag(const struct bb_link *link, uint16_t offset)
 
 /* --- sessions ---------------------------------------------------------------------------------------------------------------- */
 
+static void forget_receipts(struct bb_link *link)
+{
+    link->next_receipt = (uint16_t)(link->next_receipt + link->n_unconfirmed);
+    link->n_unconfirmed = 0;
+}
+
 static void begin_session(struct bb_link *link, uint16_t session)
 {
     link->session = session;
     link->pending = 0;
     link->timers = 0;
-    link->next_receipt = (uint16_t)(link->next_receipt + link->n_unconfirmed);
-    link->n_unconfirmed = 0;
+    forget_receipts(link);
     link->first_unacknowledged = 0;
     link->next_expected = 0;
     link->n_confirmed = 0;
@@ -122,6 +127,7 @@ static void lose(struct bb_link *link, uint8_t reason, struct bb_link_event *eve
     link->state = BB_LINK_CLOSED;
     link->pending = 0;
     link->timers = 0;
+    forget_receipts(link);
     event->kind = BB_LINK_LOST;
     event->reason = reason;
 #if BB_LINK_INITIATOR
