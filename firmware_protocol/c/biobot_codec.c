@@ -249,6 +249,12 @@ static void encode_fields(struct walk *walk, const uint8_t *owner)
 static void encode_body(struct walk *walk, const uint8_t *owner)
 {
     const uint8_t *operation;
+    if (walk->operation == 0) {
+        walk->fault = BB_UNKNOWN_TYPE;
+    }
+    if (walk->fault != BB_OK) {
+        return;
+    }
     encode_fields(walk, owner);
     operation = walk->operation;
     if (walk->fault != BB_OK) {
@@ -282,32 +288,27 @@ static void encode_body(struct walk *walk, const uint8_t *owner)
     }
 }
 
-static uint8_t encode_payload(const uint8_t *header_programme, const uint8_t *header, const uint8_t *programme, const uint8_t *owner,
-                              uint8_t *payload, uint8_t size)
+/* The three steps of a radio payload stand side by side, not in each other: they share no stack. */
+static void begin_encoding(struct walk *walk, const uint8_t *programme, const uint8_t *header, uint8_t *payload, uint8_t size)
 {
-    struct walk walk;
-    uint8_t length;
-    uint16_t crc;
     if (size > BB_MAX_RADIO_PAYLOAD) {
         size = BB_MAX_RADIO_PAYLOAD;
     }
-    if (programme == 0 || size < CRC_SIZE) {
-        return 0;
-    }
-    walk.operation = header_programme;
-    walk.bytes = payload;
-    walk.left = (uint8_t)(size - CRC_SIZE);
-    walk.fault = BB_OK;
-    encode_fields(&walk, header);
-    if (walk.fault == BB_OK) {
-        walk.operation = programme;
-        encode_body(&walk, owner);
-    }
-    if (walk.fault != BB_OK) {
+    walk->operation = programme;
+    walk->bytes = payload;
+    walk->left = size < CRC_SIZE ? (uint8_t)0 : (uint8_t)(size - CRC_SIZE);
+    walk->fault = BB_OK;
+    encode_fields(walk, header);
+}
+
+static uint8_t end_encoding(struct walk *walk, uint8_t *payload)
+{
+    uint8_t length = (uint8_t)(walk->bytes - payload);
+    uint16_t crc;
+    if (walk->fault != BB_OK) {
         return 0;
     }
     payload[1] = BB_PROTOCOL_VERSION;
-    length = (uint8_t)(size - CRC_SIZE - walk.left);
     crc = bb_crc16(payload, length);
     payload[length] = (uint8_t)(crc >> 8);
     payload[length + 1u] = (uint8_t)(crc & 0xFFu);
@@ -316,34 +317,35 @@ static uint8_t encode_payload(const uint8_t *header_programme, const uint8_t *he
 
 uint8_t bb_encode_uplink(const struct bb_uplink *message, uint8_t *payload, uint8_t size)
 {
-    if (has_impossible_part(message)) {
-        return 0;
-    }
-    return encode_payload(bb_uplink_header_programme, (const uint8_t *)&message->header,
-                          find_programme(bb_uplink_layouts, BB_N_UPLINK_LAYOUTS, message->header.type),
-                          (const uint8_t *)&message->body, payload, size);
+    struct walk walk;
+    begin_encoding(&walk, bb_uplink_header_programme, (const uint8_t *)&message->header, payload, size);
+    walk.operation = find_programme(bb_uplink_layouts, BB_N_UPLINK_LAYOUTS, message->header.type);
+    encode_body(&walk, (const uint8_t *)&message->body);
+    return has_impossible_part(message) ? (uint8_t)0 : end_encoding(&walk, payload);
 }
 
 uint8_t bb_encode_downlink(const struct bb_downlink *message, uint8_t *payload, uint8_t size)
 {
-    return encode_payload(bb_downlink_header_programme, (const uint8_t *)&message->header,
-                          find_programme(bb_downlink_layouts, BB_N_DOWNLINK_LAYOUTS, message->header.type),
-                          (const uint8_t *)&message->body, payload, size);
+    struct walk walk;
+    begin_encoding(&walk, bb_downlink_header_programme, (const uint8_t *)&message->header, payload, size);
+    walk.operation = find_programme(bb_downlink_layouts, BB_N_DOWNLINK_LAYOUTS, message->header.type);
+    encode_body(&walk, (const uint8_t *)&message->body);
+    return end_encoding(&walk, payload);
 }
 
 uint8_t bb_encode_envelope(const struct bb_envelope *envelope, uint8_t *body, uint8_t size)
 {
     struct walk walk;
-    walk.operation = find_programme(bb_envelope_layouts, BB_N_ENVELOPE_LAYOUTS, envelope->type);
-    if (walk.operation == 0 || size == 0u) {
+    if (size == 0u) {
         return 0;
     }
+    walk.operation = find_programme(bb_envelope_layouts, BB_N_ENVELOPE_LAYOUTS, envelope->type);
     body[0] = envelope->type;
     walk.bytes = body + 1;
     walk.left = (uint8_t)(size - 1u);
     walk.fault = BB_OK;
     encode_body(&walk, (const uint8_t *)&envelope->body);
-    return walk.fault == BB_OK ? (uint8_t)(size - walk.left) : (uint8_t)0;
+    return walk.fault == BB_OK ? (uint8_t)(walk.bytes - body) : (uint8_t)0;
 }
 
 /* --- encounters -------------------------------------------------------------------------------------------------------------- */
