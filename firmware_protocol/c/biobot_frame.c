@@ -10,16 +10,14 @@ void bb_frame_decoder_start(struct bb_frame_decoder *decoder)
     decoder->length = 0;
     decoder->n_encoded = 0;
     decoder->block_left = 0;
-    decoder->has_ended = false;
     decoder->is_zero_due = false;
-    decoder->is_discarding = false;
 }
 
 static uint8_t end_frame(struct bb_frame_decoder *decoder)
 {
     uint8_t result;
-    if (decoder->is_discarding || decoder->n_encoded == 0u) {
-        result = BB_FRAME_NONE; /* told already; or two delimiters in a row */
+    if (decoder->n_encoded == 0u || decoder->n_encoded > MAX_ENCODED) {
+        result = BB_FRAME_NONE; /* two delimiters in a row; or BB_FRAME_TOO_LONG, told already */
     } else if (decoder->block_left != 0u) {
         result = BB_FRAME_BAD_STUFFING;
     } else if (decoder->length < 3u) {
@@ -30,11 +28,9 @@ static uint8_t end_frame(struct bb_frame_decoder *decoder)
         decoder->length = (uint8_t)(decoder->length - 2u);
         result = BB_FRAME_BODY;
     }
-    decoder->has_ended = true;
     decoder->n_encoded = 0;
     decoder->block_left = 0;
     decoder->is_zero_due = false;
-    decoder->is_discarding = false;
     return result;
 }
 
@@ -43,16 +39,14 @@ uint8_t bb_frame_decode(struct bb_frame_decoder *decoder, uint8_t byte)
     if (byte == 0u) {
         return end_frame(decoder);
     }
-    if (decoder->is_discarding) {
-        return BB_FRAME_NONE;
+    if (decoder->n_encoded >= MAX_ENCODED) {
+        /* All up to the next delimiter is dropped, and told once. */
+        uint8_t result = decoder->n_encoded == MAX_ENCODED ? BB_FRAME_TOO_LONG : BB_FRAME_NONE;
+        decoder->n_encoded = MAX_ENCODED + 1u;
+        return result;
     }
-    if (decoder->has_ended) {
-        decoder->has_ended = false;
-        decoder->length = 0;
-    }
-    if (decoder->n_encoded == MAX_ENCODED) {
-        decoder->is_discarding = true;
-        return BB_FRAME_TOO_LONG;
+    if (decoder->n_encoded == 0u) {
+        decoder->length = 0; /* of the body before, which was the caller's until now */
     }
     /* Every byte but the first code gives one decoded byte at most, so MAX_ENCODED - 1 of them fit the body. */
     decoder->n_encoded++;

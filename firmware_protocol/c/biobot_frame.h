@@ -24,11 +24,9 @@ enum bb_frame_result {
 struct bb_frame_decoder {
     uint8_t body[BB_MAX_FRAME_BODY + 2u];
     uint8_t length;
-    uint8_t n_encoded;  /* bytes since the delimiter */
+    uint8_t n_encoded;  /* bytes since the delimiter, up to one too many */
     uint8_t block_left; /* bytes that the block has still to bring */
-    bool has_ended;     /* length is that of a result, and is forgotten with the next byte */
     bool is_zero_due;   /* a zero stands between this block and the next, if there is one */
-    bool is_discarding; /* up to the next delimiter */
 };
 
 void bb_frame_decoder_start(struct bb_frame_decoder *decoder);
