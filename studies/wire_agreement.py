@@ -29,6 +29,7 @@ _DOWNLINKS = {layout.name: layout for layout in DOWNLINK_LAYOUTS}
 _ENVELOPES = {layout.name: layout for layout in (*ENVELOPE_LAYOUTS, *CARRIER_LAYOUTS)}
 _REASONS = (LostReason.NO_ANSWER, LostReason.PEER_RESTARTED, LostReason.PEER_RESET)
 _NS_PER_MS = 1_000_000
+_DATA = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,9 +52,7 @@ def compare_uplink(wire: Wire, payload: bytes) -> Disagreement | None:
     c = wire.decode_uplink(payload)
     if python != c:
         return Disagreement(subject="uplink", given=payload.hex(), python=python, c=c)
-    return (
-        None if isinstance(python, MessageFault) else _compare_again(wire, "uplink", payload, UPLINK_HEADER, _UPLINKS[python[0][0]], python)
-    )
+    return None if isinstance(python, MessageFault) else _compare_again(wire, payload, _UPLINKS[python[0][0]], python)
 
 
 def compare_downlink(wire: Wire, payload: bytes) -> Disagreement | None:
@@ -68,7 +67,7 @@ def compare_downlink(wire: Wire, payload: bytes) -> Disagreement | None:
     python: Decoded = (layout.kind, 1, sequence), tuple(int(getattr(message, field.name)) for field in layout.fields), ()
     if python != c:
         return Disagreement(subject="downlink", given=payload.hex(), python=python, c=c)
-    return _compare_again(wire, "downlink", payload, DOWNLINK_HEADER, layout, python)
+    return _compare_again(wire, payload, layout, python)
 
 
 def compare_envelope(wire: Wire, body: bytes) -> Disagreement | None:
@@ -97,7 +96,8 @@ def compare_stream(wire: Wire, chunks: Sequence[bytes]) -> Disagreement | None:
     return None if python == c else Disagreement(subject="stream", given=[chunk.hex() for chunk in chunks], python=python, c=c)
 
 
-def _compare_again(wire: Wire, group: str, payload: bytes, header: Layout, layout: Layout, read: Decoded) -> Disagreement | None:
+def _compare_again(wire: Wire, payload: bytes, layout: Layout, read: Decoded) -> Disagreement | None:
+    group, header = ("uplink", UPLINK_HEADER) if layout in UPLINK_LAYOUTS else ("downlink", DOWNLINK_HEADER)
     canonical = append_crc(header.packing.pack(*read[0]) + _pack(layout, read))
     again = wire.encode_again(group)
     return (
@@ -262,6 +262,3 @@ class _LinkPair:
         python = self._python.next_deadline_ns()
         c = self._c.next_deadline_ms(now_ms=self._now_ms & 0xFFFF_FFFF)
         return (None if python is None else python // _NS_PER_MS & 0xFFFF_FFFF) != c
-
-
-_DATA = 3
