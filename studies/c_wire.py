@@ -44,7 +44,6 @@ _MESSAGE_FAULTS = (
 )
 _ENVELOPE_FAULTS = (None, None, None, None, EnvelopeFault.UNKNOWN_TYPE, EnvelopeFault.BAD_LENGTH, EnvelopeFault.BAD_VALUE)
 _FRAME_FAULTS = (None, None, FrameFault.BAD_CRC, FrameFault.BAD_STUFFING, FrameFault.TOO_SHORT, FrameFault.TOO_LONG)
-_FRAME_BODY = 1
 
 
 class CompileError(StudyError):
@@ -116,6 +115,8 @@ class Wire:
 
     def __init__(self, library: Path) -> None:
         self.library = ctypes.CDLL(str(library))
+        self.n_decoded = 0
+        """Inputs so far that were messages or envelopes."""
         self._memory = ctypes.create_string_buffer(512)
         self._source = ctypes.create_string_buffer(512)
         self._address = ctypes.addressof(self._source)
@@ -173,6 +174,7 @@ class Wire:
         return int(self._decode[group](self._source, ctypes.c_uint8(len(source)), self._memory))
 
     def _read(self, group: str, source: bytes) -> Decoded:
+        self.n_decoded += 1
         memory = self._memory.raw
         head = self._headers.get(group)
         header = head.read(memory, at=0, source=source, source_address=self._address)[0] if head else (memory[0],)
@@ -186,19 +188,18 @@ class FrameDecoder:
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
         self._memory = ctypes.create_string_buffer(512)
-        library.bb_frame_decode.restype = ctypes.c_uint8
+        library.bb_host_decode_frames.restype = ctypes.c_uint32
         library.bb_frame_decoder_start(self._memory)
 
     def feed(self, chunk: bytes) -> list[bytes | FrameFault]:
         """Return the bodies and faults that the bytes complete, in order."""
         results: list[bytes | FrameFault] = []
-        decode, memory = self._library.bb_frame_decode, self._memory
-        for byte in chunk:
-            result = decode(memory, ctypes.c_uint8(byte))
-            if result == _FRAME_BODY:
-                results.append(memory.raw[: memory.raw[MAX_BODY_SIZE + 2]])
-            elif result:
-                fault = _FRAME_FAULTS[result]
-                assert fault is not None, "zero and one are no faults"
-                results.append(fault)
+        out = ctypes.create_string_buffer(3 * len(chunk) + MAX_BODY_SIZE)
+        size = self._library.bb_host_decode_frames(self._memory, chunk, ctypes.c_uint32(len(chunk)), out)
+        told, at = out.raw[:size], 0
+        while at < size:
+            result, length = told[at], told[at + 1]
+            fault = _FRAME_FAULTS[result]
+            results.append(told[at + 2 : at + 2 + length] if fault is None else fault)
+            at += 2 + length
         return results

@@ -14,6 +14,7 @@ from firmware_protocol.envelope import (
     CoordinatorHello,
     CoordinatorLog,
     Envelope,
+    EnvelopeFault,
     NodeJoined,
     RadioConfirm,
     RadioReceived,
@@ -31,8 +32,6 @@ from studies.c_wire import Wire
 MS = 1_000_000
 NODE = ShortAddress(0x1234)
 HELLO = CoordinatorHello(firmware=0x0100, eui64=0x00124B0000000001, pan_id=0xB10B, channel=20, max_radio_payload=57)
-QUEUE_SIZE = 4096
-MOST_HEARD = QUEUE_SIZE // 63
 
 
 @dataclass
@@ -116,8 +115,8 @@ class Bench:
         for event in self.link.receive(body, now_ns=self.now_ms * MS):
             if isinstance(event, PayloadReceived):
                 envelope = decode_envelope(event.payload)
-                assert not isinstance(envelope, type(None))
-                self.said.append(envelope)  # type: ignore[arg-type]  # a fault would fail the comparison
+                assert not isinstance(envelope, EnvelopeFault)
+                self.said.append(envelope)
                 if self.confirms:
                     self.link.confirm(event.receipt)
 
@@ -242,17 +241,20 @@ def test_what_makes_no_sense_is_counted_and_answers_nothing(wire: Wire) -> None:
 
 
 def test_a_full_queue_refuses_the_radio_and_loses_nothing_that_it_took(wire: Wire) -> None:
-    """While no base station is there, the dongle takes what fits, 63 bytes each, and leaves the rest to the backpacks."""
+    """While no base station is there, the dongle takes what fits, and leaves the rest to the backpacks.
+
+    Of 4096 bytes, 16 confirmations of 4 and 16 answers of 16 are reserved; all have 3 bytes more in this build, with its tags: 416. A heard
+    payload of 57 takes 65, so 56 fit.
+    """
     desk = Desk(dongle=CCoordinator(wire))
     taken = [bytes([n]) * 57 for n in range(100) if desk.dongle.take_from_radio(bytes([n]) * 57, source=NODE, rssi_dbm=-50, lqi=1)]
-    assert MOST_HEARD - 8 <= len(taken) <= MOST_HEARD
-    assert taken == [bytes([n]) * 57 for n in range(len(taken))]
+    assert taken == [bytes([n]) * 57 for n in range(56)]
 
     desk.open()
     desk.run(20)
 
     assert desk.heard() == taken
-    assert desk.dongle.counters()["refused_payloads"] == 100 - len(taken)
+    assert desk.dongle.counters()["refused_payloads"] == 44
     assert desk.dongle.take_from_radio(b"again", source=NODE, rssi_dbm=-50, lqi=1)
 
 
@@ -332,8 +334,10 @@ def test_garbage_on_the_line_costs_time_and_nothing_else(wire: Wire, to_dongle: 
 
 @given(st.lists(st.sampled_from((0, 0, 0, 0, 0, 0, 1, 0x80, 0xFF)), max_size=150))
 def test_damaged_bytes_lose_no_payload_and_bring_none_twice(wire: Wire, damage: list[int]) -> None:
-    """A byte in 40 may be damaged, frames of acknowledgement too; a host that gives up opens again, and then hears some twice in a row
-    of sessions, which the backpacks' sequence numbers sort out: so this law asks for what one session promises."""
+    """A byte in 40 may be damaged, in acknowledgements too.
+
+    A host that gives up opens again, and may then hear some a second time, which the backpacks' sequence numbers sort out.
+    """
     desk = opened(wire)
     desk.damage = deque(damage)
     up = [bytes([n]) * 30 for n in range(25)]

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.link import LinkEvent as PythonEvent
 from firmware_protocol.link import Link, LinkConfig, LinkLost, LinkOpened, PayloadConfirmed, PayloadReceived, Role
+from firmware_protocol.link import LinkEvent as PythonEvent
 from studies.c_link import CLink, LinkEvent, LinkEventKind
 from studies.c_wire import Wire
 
@@ -48,7 +48,7 @@ class PythonEnd:
     def receive(self, frame: bytes, now_ms: int) -> None:
         self._note(self.link.receive(frame, now_ns=now_ms * MS))
 
-    def take_frames(self, now_ms: int) -> list[bytes]:
+    def take_frames(self, now_ms: int) -> list[bytes]:  # noqa: ARG002  # the other language's needs it
         return self.link.take_frames()
 
     def poll(self, now_ms: int) -> None:
@@ -82,7 +82,7 @@ class CEnd:
     def open(self, session: int, now_ms: int) -> None:
         self.link.open(session=session, now_ms=now_ms & 0xFFFF_FFFF)
 
-    def send(self, payload: bytes, now_ms: int) -> None:
+    def send(self, payload: bytes, now_ms: int) -> None:  # noqa: ARG002  # the other language's needs it
         self.n_sent += 1
         assert self.link.send(payload, tag=self.n_sent)
 

@@ -116,3 +116,20 @@ void bb_port_eui64(uint8_t out[8])
 {
     memcpy(out, eui64, sizeof eui64);
 }
+
+uint32_t bb_host_decode_frames(struct bb_frame_decoder *decoder, const uint8_t *bytes, uint32_t length, uint8_t *results)
+{
+    uint32_t at = 0;
+    while (length != 0u) {
+        uint8_t result = bb_frame_decode(decoder, *bytes++);
+        length--;
+        if (result != BB_FRAME_NONE) {
+            uint8_t size = result == BB_FRAME_BODY ? decoder->length : (uint8_t)0;
+            results[at++] = result;
+            results[at++] = size;
+            memcpy(results + at, decoder->body, size);
+            at += size;
+        }
+    }
+    return at;
+}

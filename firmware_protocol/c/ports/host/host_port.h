@@ -3,6 +3,7 @@
 #define BB_HOST_PORT_H
 
 #include "../../bb_port.h"
+#include "../../biobot_frame.h"
 
 #define BB_HOST_UART_SIZE 65536u
 #define BB_HOST_RADIO_SIZE 64u
@@ -29,5 +30,9 @@ void bb_host_set_radio_room(uint8_t n_payloads);
 
 /* Hand out the oldest payload given to the radio; false: there is none. */
 bool bb_host_take_sent(struct bb_host_sent *sent);
+
+/* Decode many bytes at once. For each body and fault: the bb_frame_result, the body's length, the body. Returns the octets written to
+ * results: a fault takes at least one byte of input and a body as many as it has, so 3 * length + BB_MAX_FRAME_BODY are enough. */
+uint32_t bb_host_decode_frames(struct bb_frame_decoder *decoder, const uint8_t *bytes, uint32_t length, uint8_t *results);
 
 #endif
