@@ -10,7 +10,7 @@ help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 26
 
 venv: $(STAMP)  ## make .venv with everything, pinned and hashed; every console script runs from it
-SOURCES := $(wildcard simulator/engine/*.[ch] mapper/kernels/*.[ch])
+SOURCES := $(wildcard simulator/engine/*.[ch] mapper/kernels/*.[ch] gateway/bulk/*.c firmware_protocol/c/*.[ch] firmware_protocol/c/bulk/*.[ch])
 $(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh scripts/compiler.sh hatch_build.py $(SOURCES)
 	sh scripts/bootstrap.sh $(VENV)
 	sh scripts/compiler.sh
@@ -75,6 +75,16 @@ campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arena
 check-kernels: venv  ## the mapper's tests of kernels once more, under the address and undefined-behaviour sanitizers (a minute)
 	$(PY) scripts/check_kernels.py $(ARGS)
 
+generate-c: venv  ## write the C side's layouts from firmware_protocol/layouts.py
+	$(PY) scripts/generate_c.py
+
+check-c: venv  ## compile the C side for this machine, Cortex-M and 8051 without a warning; print code and RAM (docs/firmware.md)
+	$(PY) scripts/generate_c.py --check
+	$(PY) scripts/firmware_size.py $(ARGS)
+
+wire-fuzz: venv  ## ask Python and C the same of millions of inputs (docs/wire-fuzz.md; ARGS="--inputs 10000000")
+	$(PY) -m studies.wire_fuzz --differential $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
@@ -83,6 +93,6 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) $(PEERS) simulator/engine/*.so mapper/kernels/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-rips bench-live campaign-walls check-kernels lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-rips bench-live campaign-walls check-kernels generate-c check-c wire-fuzz lock docker-check clean
