@@ -110,8 +110,13 @@ static void decode_entries(struct walk *walk, uint8_t *owner)
 {
     const uint8_t *operation = walk->operation;
     uint8_t *entry = owner + operation[2];
-    uint8_t count = (uint8_t)(walk->left / operation[4]);
-    if (walk->left % operation[4] != 0u || count < operation[5] || count > operation[6]) {
+    uint8_t rest = walk->left;
+    uint8_t count = 0;
+    while (rest >= operation[4]) { /* no division: a Cortex-M0+ and an 8051 call a library for it */
+        rest = (uint8_t)(rest - operation[4]);
+        count++;
+    }
+    if (rest != 0u || count < operation[5] || count > operation[6]) {
         walk->fault = BB_BAD_LENGTH;
         return;
     }

@@ -24,7 +24,7 @@ def test_the_c_side_keeps_to_its_memory_and_to_the_language() -> None:
         "ASAN_OPTIONS": "detect_leaks=0",  # Python's own are none of ours
         "PYTHONPATH": str(ROOT),
     }
-    names = ("agreement", "link", "coordinator")
+    names = ("agreement", "backpack", "coordinator", "link")
     tests = [f"tests/firmware_protocol/c/test_c_{name}.py" for name in names] + ["tests/gateway/test_bulk.py"]
     check = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--hypothesis-profile=few", "-k", "not more_frames", *tests]
     done = subprocess.run(check, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
