@@ -11,7 +11,7 @@ help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 26
 
 venv: $(STAMP)  ## make .venv with everything, pinned and hashed; every console script runs from it
-SOURCES := $(wildcard simulator/engine/*.[ch] mapper/kernels/*.[ch])
+SOURCES := $(wildcard simulator/engine/*.[ch] mapper/kernels/*.[ch] gateway/bulk/*.c firmware_protocol/c/*.[ch] firmware_protocol/c/bulk/*.[ch])
 $(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh scripts/compiler.sh hatch_build.py $(SOURCES)
 	sh scripts/bootstrap.sh $(VENV)
 	sh scripts/compiler.sh
@@ -84,6 +84,16 @@ hil: venv  ## check what is plugged in, capability by capability (PORT=/dev/seri
 	@test -n "$(PORT)" || { echo 'name what is plugged in: make hil PORT=/dev/serial/by-id/...; biobot-gateway list-ports shows what there is' >&2; exit 2; }
 	$(PY) -m gateway check-radio "$(PORT)" $(ARGS)
 
+generate-c: venv  ## write the C side's layouts from firmware_protocol/layouts.py
+	$(PY) scripts/generate_c.py
+
+check-c: venv  ## compile the C side for this machine, Cortex-M and 8051 without a warning; print code and RAM (docs/firmware.md)
+	$(PY) scripts/generate_c.py --check
+	$(PY) scripts/firmware_size.py $(ARGS)
+
+wire-fuzz: venv  ## ask Python and C the same of millions of inputs (docs/wire-fuzz.md; ARGS="--inputs 10000000")
+	$(PY) -m studies.wire_fuzz --differential $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
@@ -92,6 +102,6 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) $(PEERS) $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-rips wire-peers bench-live campaign-walls check-kernels hil lock docker-check clean
+.PHONY: $(shell sed -nE 's/^([a-z-]+):.*\#\#.*/\1/p' $(MAKEFILE_LIST))

@@ -2,7 +2,7 @@
 
 A plain C compiler is all it takes; the libraries are called through ctypes, so they fit every Python. No headers of Python, no fused
 multiply-adds, no fast maths: the same sources give the same results on every machine with IEEE 754 doubles. On a machine without a
-compiler a wheel is made without them: the gateway needs none, the mapper has a slower way for all its kernels, the simulator cannot run.
+compiler a wheel is made without them: gateway and mapper have a slower way for all that they do, the simulator cannot run.
 """
 
 import os
@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sysconfig
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,18 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ENGINE = Path("simulator") / "engine" / "_engine.so"
 KERNELS = Path("mapper") / "kernels" / "_kernels.so"
+BULK = Path("gateway") / "bulk" / "_bulk.so"
 FLAGS = ("-std=c11", "-ffp-contract=off", "-fno-fast-math", "-fPIC", "-fvisibility=hidden", "-shared", "-Wall", "-Wextra")
-LIBRARIES = {ENGINE: "-O2", KERNELS: "-O3"}
+LIBRARIES = {ENGINE: "-O2", KERNELS: "-O3", BULK: "-O3"}
+_WIRE = Path("firmware_protocol") / "c"
+ELSEWHERE = {
+    BULK: tuple(
+        _WIRE / name
+        for name in ("biobot_codec.c", "biobot_codec.h", "biobot_crc.c", "biobot_crc.h", "biobot_frame.c", "biobot_frame.h",
+                     "biobot_layouts.c", "biobot_layouts.h", "bulk/biobot_bulk.c", "bulk/biobot_bulk.h")
+    )
+}  # fmt: skip
+"""Sources that a library has beside those of its own folder."""
 
 
 class LibrariesBuildHook(BuildHookInterface):  # type: ignore[misc, type-arg]  # hatchling is untyped here
@@ -48,11 +59,12 @@ def find_compiler() -> str | None:
 
 
 def compile_library(root: Path, library: Path, *, compiler: str) -> None:
-    """Compile the C files beside a library of a source tree; it appears whole or not at all."""
+    """Compile the C files of a library of a source tree; it appears whole or not at all."""
     fresh = root / library.with_suffix(f".{os.getpid()}.so")
-    folder = (root / library).parent
-    sources = [str(path) for path in sorted(folder.glob("*.c"))]
-    command = [*shlex.split(compiler), *FLAGS, LIBRARIES[library], f"-DSOURCES={sum_sources(folder)}", *sources, "-o", str(fresh), "-lm"]
+    files = sources_of(root, library)
+    total = f"-DSOURCES={sum_sources(files)}"
+    sources = [str(path) for path in files if path.suffix == ".c"]
+    command = [*shlex.split(compiler), *FLAGS, LIBRARIES[library], total, *sources, "-o", str(fresh), "-lm"]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except (OSError, subprocess.CalledProcessError) as error:
@@ -62,9 +74,15 @@ def compile_library(root: Path, library: Path, *, compiler: str) -> None:
     fresh.replace(root / library)
 
 
-def sum_sources(folder: Path) -> int:
-    """Return the CRC-32 of the C sources, file after file by name: a library says which it was built from, and is not used with others."""
+def sources_of(root: Path, library: Path) -> list[Path]:
+    """List the C files of a library: those beside it by name, then those from elsewhere."""
+    folder = (root / library).parent
+    return [*sorted((*folder.glob("*.c"), *folder.glob("*.h"))), *(root / path for path in ELSEWHERE.get(library, ()))]
+
+
+def sum_sources(files: Iterable[Path]) -> int:
+    """Return the CRC-32 of C sources, file after file: a library says which it was built from, and is not used with others."""
     total = 0
-    for path in sorted((*folder.glob("*.c"), *folder.glob("*.h"))):
+    for path in files:
         total = zlib.crc32(path.read_bytes(), total)
     return total

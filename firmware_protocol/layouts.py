@@ -53,6 +53,8 @@ class Layout:
         Fields of an entry that is repeated to the end, and how many entries there may be, least and most.
     text_limit
         Most octets of UTF-8 text to the end; None: the message has no text.
+    has_payload
+        A radio payload stands after the fields, to the end.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Layout:
     entry: tuple[Field, ...] = ()
     entry_counts: tuple[int, int] = (0, 0)
     text_limit: int | None = None
+    has_payload: bool = False
 
     @property
     def packing(self) -> struct.Struct:
@@ -297,4 +300,23 @@ ENVELOPE_LAYOUTS = (
     ),
     Layout(name="NodeJoined", kind=0x23, section="4.9", fields=(Field(name="address", code="H"), Field(name="eui64", code="Q"))),
 )
-"""Of the envelopes; RadioSend, RadioConfirm and RadioReceived, which carry a radio payload to the end, are in ``envelope.py`` alone."""
+"""Of the envelopes that carry no radio payload and tell of none."""
+
+CARRIER_LAYOUTS = (
+    Layout(
+        name="RadioSend",
+        kind=0x20,
+        section="4.3",
+        fields=(Field(name="handle", code="H"), Field(name="destination", code="H")),  # 0xFFFF: all
+        has_payload=True,
+    ),
+    Layout(name="RadioConfirm", kind=0x21, section="4.4", fields=(Field(name="handle", code="H"), Field(name="status", code="B"))),
+    Layout(
+        name="RadioReceived",
+        kind=0x22,
+        section="4.5",
+        fields=(Field(name="source", code="H"), Field(name="rssi_dbm", code="b", unit="dBm"), Field(name="lqi", code="B")),
+        has_payload=True,
+    ),
+)
+"""Of the other envelopes; ``envelope.py`` has them in its own words, because they are most of what goes over a line."""

@@ -71,6 +71,12 @@ def test_without_a_compiler_the_wheel_is_for_every_machine_and_holds_no_library(
     assert "mapper/kernels/plain.py" in names
 
 
+def test_the_wheel_holds_what_a_firmware_engineer_needs(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    sources = (path.relative_to(ROOT) for path in (ROOT / "firmware_protocol").rglob("*.[ch]"))
+    assert {str(path) for path in sources} | {"firmware_protocol/WIRE_FORMAT.md", "firmware_protocol/vectors/uplink.json"} <= names
+
+
 def test_without_a_compiler_the_mapper_makes_the_same_map_and_says_that_it_is_slow(installed: Path, encounters: Path) -> None:
     flags = ("run", encounters, "--stationary", ",".join(str(1001 + k) for k in range(12)), "--json", "-")
     plain, compiled = _run(installed, "mapper", *flags), _run(ROOT, "mapper", *flags, BIOBOT_KERNELS="compiled")

@@ -1,0 +1,1 @@
+"""Many native frames at once, into columns: what recordings are read with."""
