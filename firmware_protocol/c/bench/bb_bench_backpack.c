@@ -13,7 +13,9 @@
 #define BATTERY_MV 3700u
 
 #define FIRMWARE 0x0100u
+/* Capability bits (WIRE_FORMAT.md section 5.2). */
 #define CAN_BE_STIMULATED 1u
+#define TAKES_CONFIGURE 4u
 
 static bool is_due(uint32_t at_ms, uint32_t now_ms)
 {
@@ -91,7 +93,7 @@ static bool say_hello(struct bb_bench_backpack *backpack, uint32_t now_ms)
     hello->eui64[1] = 0xBE;
     hello->firmware = FIRMWARE;
     hello->beacon_period_ms = backpack->configuration.beacon_period_ms;
-    hello->capabilities = CAN_BE_STIMULATED;
+    hello->capabilities = CAN_BE_STIMULATED | TAKES_CONFIGURE;
     hello->newest_version = BB_PROTOCOL_VERSION;
     return keep(backpack, BB_TYPE_HELLO, &message, now_ms);
 }

@@ -3,6 +3,7 @@
 #define US_PER_S 1000000u
 
 enum action { START = 1, STOP = 2 };
+enum configuration_result { CONFIGURED = 0, BAD_CONFIGURATION = 1 };
 enum result { DONE = 0, ALREADY_DONE = 1, BAD_PARAMETER = 4 };
 
 static void forget(struct bb_bench_backpack *backpack, const struct bb_acknowledge *known)
@@ -83,14 +84,34 @@ static void obey(struct bb_bench_backpack *backpack, const struct bb_stimulate *
     backpack->owes_reply = true;
 }
 
+/* 0 of a period and -128 of a strength leave what there is (WIRE_FORMAT.md section 6.6). */
+static void change_u16(uint16_t *value, uint16_t wish)
+{
+    if (wish != 0u) {
+        *value = wish;
+    }
+}
+
+static void change_dbm(int8_t *value, int8_t wish)
+{
+    if (wish != INT8_MIN) {
+        *value = wish;
+    }
+}
+
 static void configure(struct bb_bench_backpack *backpack, const struct bb_configure *wish)
 {
-    bool is_good = wish->rssi_enter_dbm >= wish->rssi_exit_dbm && wish->report_period_ms != 0u;
-    if (is_good) {
-        backpack->configuration = *wish;
-    }
+    struct bb_configure changed = backpack->configuration;
+    change_u16(&changed.beacon_period_ms, wish->beacon_period_ms);
+    change_u16(&changed.gap_tolerance_ms, wish->gap_tolerance_ms);
+    change_u16(&changed.report_period_ms, wish->report_period_ms);
+    change_dbm(&changed.rssi_enter_dbm, wish->rssi_enter_dbm);
+    change_dbm(&changed.rssi_exit_dbm, wish->rssi_exit_dbm);
     backpack->configuration_token = wish->token;
-    backpack->configuration_result = is_good ? 0 : 1;
+    backpack->configuration_result = changed.rssi_exit_dbm <= changed.rssi_enter_dbm ? CONFIGURED : BAD_CONFIGURATION;
+    if (backpack->configuration_result == CONFIGURED) {
+        backpack->configuration = changed;
+    }
     backpack->owes_configuration = true;
 }
 
@@ -120,7 +141,7 @@ void bb_bench_backpack_hear(struct bb_bench_backpack *backpack, const uint8_t *p
         break;
     default: /* a configuration request: the only type left */
         backpack->configuration_token = message.body.configuration_request.token;
-        backpack->configuration_result = 0;
+        backpack->configuration_result = CONFIGURED;
         backpack->owes_configuration = true;
         break;
     }
