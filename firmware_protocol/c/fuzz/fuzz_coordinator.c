@@ -21,7 +21,8 @@ static uint8_t n_in_radio, n_writes;
 static bool radio_is_full;
 static struct bb_network network;
 static struct bb_frame_decoder line;
-static uint16_t session; /* of the newest RESET_ACK */
+static uint16_t session;    /* of the newest RESET_ACK */
+static uint8_t expected;    /* number of the next payload, by the newest ACK */
 static bool was_reset;
 
 uint32_t bb_port_now_ms(void) { return now_ms; }
@@ -41,6 +42,9 @@ void bb_port_uart_write(const uint8_t *octets, uint8_t length)
         if (body[0] == 2) {
             session = (uint16_t)(body[1] | body[2] << 8);
             was_reset = true;
+            expected = 0;
+        } else if (body[0] == 4) {
+            expected = body[3];
         } else if (body[0] == 3) { /* data: an envelope of the right direction */
             struct bb_envelope envelope;
             LAW(bb_decode_envelope(body + BB_LINK_HEADER_SIZE, (uint8_t)(line.length - BB_LINK_HEADER_SIZE), &envelope) == BB_OK);
@@ -102,6 +106,7 @@ static void say(uint8_t kind, uint16_t its_session, uint8_t sequence, const uint
 static void act(struct input *input)
 {
     uint8_t action = take_u8(input), length;
+    uint16_t number;
     uint8_t *block;
     switch (action % 8) {
     case 0: /* anything on the line */
@@ -109,14 +114,15 @@ static void act(struct input *input)
         bb_coordinator_uart_received(block, length);
         free(block);
         break;
-    case 1: /* data of the session in force, the number as the input says */
-        block = take_block(input, (uint8_t)(action >> 2), &length);
-        say(3, session, take_u8(input), block, length, action);
+    case 1: /* data of the session in force, mostly with the number that is due */
+        block = take_block(input, (uint8_t)(take_u8(input) % (BB_LINK_MAX_PAYLOAD + 1u)), &length);
+        say(3, session, action & 0x80 ? take_u8(input) : expected++, block, length, action);
         free(block);
         break;
     case 2: /* acknowledgements, pings, resets */
         block = take_block(input, action >> 7, &length);
-        say((uint8_t)(1 + (action >> 3) % 6), action & 0x40 ? session : take_u16(input), take_u8(input), block, length, 0);
+        number = take_u16(input);
+        say((uint8_t)(1 + (action >> 3) % 6), action & 0x40 ? session : number, take_u8(input), block, length, 0);
         free(block);
         break;
     case 3:
@@ -124,7 +130,8 @@ static void act(struct input *input)
         break;
     case 4: /* from the air */
         block = take_block(input, (uint8_t)(action >> 2), &length);
-        (void)bb_coordinator_radio_received(take_u16(input), (int8_t)take_u8(input), action, block, length);
+        number = take_u16(input);
+        (void)bb_coordinator_radio_received(number, (int8_t)take_u8(input), action, block, length);
         free(block);
         break;
     case 5:
@@ -173,6 +180,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     n_in_radio = 0;
     radio_is_full = false;
     session = 0;
+    expected = 0;
     network.pan_id = 0xB10B;
     network.channel = 20;
     network.permit_join_s = 0;

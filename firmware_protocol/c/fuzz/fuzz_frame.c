@@ -4,6 +4,8 @@
 
 #include <string.h>
 
+#define LONGEST_RUN (BB_MAX_FRAME_BODY + 3u) /* WIRE_FORMAT.md section 2 */
+
 static uint8_t encoded[BB_MAX_FRAME_BODY + BB_FRAME_OVERHEAD];
 
 static void decode_whole(const uint8_t *octets, size_t n, const uint8_t *body, uint8_t length)
@@ -38,9 +40,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     struct bb_frame_decoder *decoder = malloc(sizeof *decoder);
     LAW(decoder != NULL);
     bb_frame_decoder_start(decoder);
+    size_t run = 0; /* octets since the last delimiter */
     for (size_t i = 0; i < size; i++) {
         uint8_t result = bb_frame_decode(decoder, data[i]);
+        run = data[i] ? run + 1 : 0;
         LAW(result <= BB_FRAME_TOO_LONG);
+        LAW(run == 0 || (result == BB_FRAME_TOO_LONG) == (run == LONGEST_RUN + 1)); /* told once, at once */
+        LAW(run == 0 || result == BB_FRAME_NONE || result == BB_FRAME_TOO_LONG);
         if (result == BB_FRAME_BODY) {
             LAW(decoder->length >= 1 && decoder->length <= BB_MAX_FRAME_BODY);
             encode_again(decoder->body, decoder->length);
