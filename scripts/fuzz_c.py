@@ -3,6 +3,7 @@
     python scripts/fuzz_c.py                       20,000 inputs for each target: half a minute
     python scripts/fuzz_c.py --inputs 10000000     the campaign whose result is in docs/wire-fuzz.md
     python scripts/fuzz_c.py --targets fuzz_link   some of them
+    python scripts/fuzz_c.py --replay              the seeds alone, with any C compiler: a second; what the tests do
 
 Seeds are the golden vectors of `firmware_protocol/vectors`, and what earlier runs found (`artifacts/fuzz-c`). Exit 1 where an input breaks
 a law, reads or writes what it must not, hangs, or takes more memory than the limit; the input is kept and named.
@@ -16,7 +17,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,10 +26,9 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "firmware_protocol" / "c"
 VECTORS = ROOT / "firmware_protocol" / "vectors"
 COMPILER = "clang"
-FLAGS = (
-    "-std=c11", "-g", "-O2", "-Wall", "-Wextra", "-Werror", "-fno-omit-frame-pointer",
-    "-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all",
-)  # fmt: skip
+FLAGS = ("-std=c11", "-g", "-Wall", "-Wextra", "-Werror", "-fno-omit-frame-pointer", "-fno-sanitize-recover=all")
+FUZZING = ("-O2", "-fsanitize=fuzzer,address,undefined")
+REPLAYING = ("-O1", "-fsanitize=address,undefined")
 MEMORY_LIMIT_MB = 256
 """For the whole process, sanitizers and corpus included; a single allocation may take an eighth of it."""
 HANG_S = 10
@@ -97,34 +97,46 @@ TARGETS = {
     "fuzz_codec": Target(modules=("codec", "crc", "layouts"), longest=256, seeds=_codec_seeds),
     "fuzz_link": Target(modules=("link",), longest=600, seeds=_link_seeds, defines=("-DBB_LINK_INITIATOR=1",)),
     "fuzz_delivery": Target(modules=("link",), longest=400, seeds=_delivery_seeds, defines=("-DBB_LINK_INITIATOR=1",)),
-    "fuzz_coordinator": Target(
-        modules=("codec", "coordinator", "crc", "frame", "layouts", "link"), longest=1000, seeds=_coordinator_seeds
-    ),
+    "fuzz_coordinator": Target(modules=("codec", "coordinator", "crc", "frame", "layouts", "link"), longest=1000, seeds=_coordinator_seeds),
 }
 
 
-def compile_target(name: str, folder: Path) -> Path:
-    """Compile a target; a warning is an error."""
+def compile_target(name: str, folder: Path, *, compiler: str, flags: Sequence[str], extra: Sequence[str] = ()) -> Path:
+    """Compile a target, with what else it takes to make a program of it; a warning is an error."""
     target = TARGETS[name]
     program = folder / name
-    sources = [SOURCES / "fuzz" / f"{name}.c", *(SOURCES / f"biobot_{module}.c" for module in target.modules)]
-    command = [COMPILER, *FLAGS, *target.defines, f"-I{SOURCES}", *map(str, sources), "-o", str(program)]
+    modules = (f"biobot_{module}" for module in target.modules)
+    sources = [SOURCES / f"{source}.c" for source in (f"fuzz/{name}", *extra, *modules)]
+    command = [*compiler.split(), *FLAGS, *flags, *target.defines, f"-I{SOURCES}", *map(str, sources), "-o", str(program)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{name} does not compile ({' '.join(command)}):\n{done.stderr}")
     return program
 
 
-def write_seeds(name: str, corpus: Path) -> None:
-    """Put the seeds of a target into its corpus."""
+def write_seeds(name: str, corpus: Path) -> list[Path]:
+    """Put the seeds of a target into its corpus, and return them."""
     corpus.mkdir(parents=True, exist_ok=True)
+    seeds = []
     for index, seed in enumerate(TARGETS[name].seeds()):
-        (corpus / f"seed-{index:04}").write_bytes(seed[: TARGETS[name].longest])
+        seeds.append(corpus / f"seed-{index:04}")
+        seeds[-1].write_bytes(seed[: TARGETS[name].longest])
+    return seeds
+
+
+def replay(name: str, *, compiler: str, folder: Path) -> str | None:
+    """Run a target on its seeds alone; return what was found, or None."""
+    program = compile_target(name, folder, compiler=compiler, flags=REPLAYING, extra=["fuzz/replay"])
+    seeds = write_seeds(name, folder / "corpus" / name)
+    done = subprocess.run([str(program), *map(str, seeds)], capture_output=True, text=True, check=False)
+    print(f"{name}: {len(seeds)} seeds, {'nothing found' if done.returncode == 0 else 'FOUND SOMETHING'}")
+    return None if done.returncode == 0 else f"{name}: exit status {done.returncode}\n{done.stderr[-4000:]}"
 
 
 def fuzz(name: str, *, inputs: int, seed: int, folder: Path) -> str | None:
     """Run a target and print its row; return what was found, or None."""
-    program, corpus, found = compile_target(name, folder), folder / "corpus" / name, folder / "found"
+    program = compile_target(name, folder, compiler=COMPILER, flags=FUZZING)
+    corpus, found = folder / "corpus" / name, folder / "found"
     write_seeds(name, corpus)
     found.mkdir(exist_ok=True)
     command = [
@@ -156,14 +168,18 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of libFuzzer (default: 1)")
     parser.add_argument("--targets", nargs="+", default=list(TARGETS), choices=list(TARGETS), metavar="NAME", help=", ".join(TARGETS))
     parser.add_argument("--folder", type=Path, default=ROOT / "artifacts" / "fuzz-c", help="for programs, corpora and what is found")
+    parser.add_argument("--replay", action="store_true", help="run the seeds alone, with CC or cc; no clang is needed")
     options = parser.parse_args(arguments)
-    if shutil.which(COMPILER) is None:
-        print("fuzz_c: no clang here; install clang and libclang-rt-dev", file=sys.stderr)
-        return 1
     options.folder.mkdir(parents=True, exist_ok=True)
-    print("| target      |     inputs |      s | inputs/s | edges | corpus | RSS [MB] | result |")
-    print("|---|---|---|---|---|---|---|---|")
-    findings = [fuzz(name, inputs=options.inputs, seed=options.seed, folder=options.folder) for name in options.targets]
+    if options.replay:
+        findings = [replay(name, compiler=os.environ.get("CC") or "cc", folder=options.folder) for name in options.targets]
+    elif shutil.which(COMPILER) is None:
+        print("fuzz_c: no clang here; install clang and its runtime (Debian: clang libclang-rt-14-dev)", file=sys.stderr)
+        return 1
+    else:
+        print("| target      |     inputs |      s | inputs/s | edges | corpus | RSS [MB] | result |")
+        print("|---|---|---|---|---|---|---|---|")
+        findings = [fuzz(name, inputs=options.inputs, seed=options.seed, folder=options.folder) for name in options.targets]
     for finding in filter(None, findings):
         print(finding, file=sys.stderr)
     return 1 if any(findings) else 0

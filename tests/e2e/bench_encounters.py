@@ -5,7 +5,7 @@ from itertools import combinations
 
 SEED = 1
 N_NODES = 12
-N_MEETINGS = 60
+N_MEETINGS = 40
 FIRST_MS = 50_000
 PERIOD_MS = 15_000
 _MASK = 0xFFFFFFFF

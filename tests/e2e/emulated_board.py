@@ -38,7 +38,8 @@ class EmulatedBoard:
         try:
             deadline = time.monotonic() + _START_TIMEOUT_S
             while not (found := _PTY.search(log.read_text())) or not control.exists():
-                assert self._process.poll() is None and time.monotonic() < deadline, f"the board did not start: {log.read_text()}"
+                is_starting = self._process.poll() is None and time.monotonic() < deadline
+                assert is_starting, f"the board did not start: {log.read_text()}"
                 time.sleep(_POLL_S)
             self.port = found.group(1)
             self._control = socket.socket(socket.AF_UNIX)

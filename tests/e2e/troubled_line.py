@@ -66,8 +66,8 @@ class TroubledLine:
                 waiting[far if source == near else near] += self._worn(os.read(source, 4096), rng)
             with self._lock:
                 injected, self._injected = self._injected, {}
-            for target in waiting:
-                data = waiting[target] + injected.get(target, b"")
+            for target, held in waiting.items():
+                data = held + injected.get(target, b"")
                 try:
                     waiting[target] = data[os.write(target, data) :] if data else b""
                 except BlockingIOError:

@@ -24,9 +24,8 @@ static bool is_due(uint32_t at_ms, uint32_t now_ms)
 
 void bb_bench_backpack_boot(struct bb_bench_backpack *backpack, uint8_t node, uint32_t now_ms)
 {
-    static const struct bb_bench_backpack none;
     static const struct bb_configure configuration = {0, 0, -85, -90, 0, BATCH_PERIOD_MS};
-    *backpack = none;
+    *backpack = (struct bb_bench_backpack){0};
     backpack->node = node;
     backpack->boot = FIRST_BOOT;
     backpack->mode = BB_BENCH_CRW;

@@ -17,7 +17,7 @@
 #endif
 
 #define BB_BENCH_NODES 12u
-#define BB_BENCH_MEETINGS 60u
+#define BB_BENCH_MEETINGS 40u
 #define BB_BENCH_FIRST_MS 50000u
 #define BB_BENCH_PERIOD_MS 15000u
 #define BB_BENCH_START_MS 1000000u /* bench time when the board is switched on; all meetings are over */
