@@ -25,6 +25,8 @@ from tests.gateway.harness import free_port
 
 ROOT = Path(__file__).parents[2]
 NS_PER_MS = 1_000_000
+LOST_IN_RESET_NS = 250 * NS_PER_MS
+"""A busy host may leave the emulator out that long; meetings of a pair are seconds apart."""
 
 
 def _builder() -> ModuleType:
@@ -116,14 +118,15 @@ class RunningGateway:
 def _check_times(meetings: list[Meeting], encounters: list[EncounterRecord]) -> None:
     """Bench time and the gateway's clock differ by one number, within the errors that records state: clocks of twelve backpacks were found.
 
-    A reset costs the backpacks' clocks the milliseconds from the last poll to the new start, and the gateway must not mind.
+    A reset costs the virtual backpacks' clocks the time from the last poll to the new start, as the host takes it: no error of the gateway's,
+    which must not mind.
     """
     ordered = sorted(encounters, key=lambda record: (record.node_a, record.node_b, record.t_start_ns))
     offsets = [record.t_start_ns - meeting.start_ms * NS_PER_MS for meeting, record in zip(meetings, ordered, strict=True)]
     offset = statistics.median(offsets)
     for meeting, record, its in zip(meetings, ordered, offsets, strict=True):
         assert (record.node_a, record.node_b) == (meeting.low, meeting.high)
-        assert abs(its - offset) <= record.error_ns + 50 * NS_PER_MS  # the median's own error
+        assert abs(its - offset) <= record.error_ns + LOST_IN_RESET_NS
         assert record.error_ns <= 250 * NS_PER_MS  # a clock known to 100 ms when it is first believed, and a drift of 100 ppm over 1000 s
         assert record.t_end_ns - record.t_start_ns == pytest.approx(meeting.duration_ms * NS_PER_MS, abs=2 * record.error_ns + NS_PER_MS)
 
