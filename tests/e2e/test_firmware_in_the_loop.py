@@ -71,7 +71,8 @@ class RunningGateway:
         return (self.folder / "gateway.log").read_text()
 
     def events(self, name: str) -> list[dict[str, Any]]:
-        return [line for line in map(json.loads, self.log().splitlines()) if line["event"] == name]
+        whole = [line for line in self.log().splitlines(keepends=True) if line.startswith("{") and line.endswith("}\n")]
+        return [event for event in map(json.loads, whole) if event["event"] == name]
 
     def n_entries(self) -> int:
         """Count what is in the journal: encounters and their revisions, and modes."""
@@ -118,8 +119,7 @@ class RunningGateway:
 def _check_times(meetings: list[Meeting], encounters: list[EncounterRecord]) -> None:
     """Bench time and the gateway's clock differ by one number, within the errors that records state: clocks of twelve backpacks were found.
 
-    A reset costs the virtual backpacks' clocks the time from the last poll to the new start, as the host takes it: no error of the gateway's,
-    which must not mind.
+    A reset costs the virtual backpacks' clocks the time from the last poll to the new start: no error of the gateway's, which must not mind.
     """
     ordered = sorted(encounters, key=lambda record: (record.node_a, record.node_b, record.t_start_ns))
     offsets = [record.t_start_ns - meeting.start_ms * NS_PER_MS for meeting, record in zip(meetings, ordered, strict=True)]
