@@ -119,7 +119,7 @@ class RunningGateway:
 def _check_times(meetings: list[Meeting], encounters: list[EncounterRecord]) -> None:
     """Bench time and the gateway's clock differ by one number, within the errors that records state: clocks of twelve backpacks were found.
 
-    A reset costs the virtual backpacks' clocks the time from the last poll to the new start: no error of the gateway's, which must not mind.
+    A reset costs the virtual backpacks' clocks the time from the last poll to the new start, which is no error of the gateway's.
     """
     ordered = sorted(encounters, key=lambda record: (record.node_a, record.node_b, record.t_start_ns))
     offsets = [record.t_start_ns - meeting.start_ms * NS_PER_MS for meeting, record in zip(meetings, ordered, strict=True)]
