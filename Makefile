@@ -43,7 +43,7 @@ types: venv
 layers: venv
 	$(VENV)/bin/lint-imports
 
-system-packages:  ## install what some tests want: Chromium, a compiler and an emulator for ARM (Debian)
+system-packages:  ## install what some tests want: Chromium, compilers and emulators for other processors (Debian)
 	sh scripts/system_packages.sh
 
 train: venv  ## train the hole classifier anew on simulated arenas (hours; resumable)
@@ -94,6 +94,12 @@ check-c: venv  ## compile the C side for this machine, Cortex-M and 8051 without
 wire-fuzz: venv  ## ask Python and C the same of millions of inputs (docs/wire-fuzz.md; ARGS="--inputs 10000000")
 	$(PY) -m studies.wire_fuzz --differential $(ARGS)
 
+firmware-image: venv  ## build the coordinator firmware for an emulated board and for the CC2530 (needs their compilers: make system-packages)
+	$(PY) scripts/build_firmware.py $(ARGS)
+
+fuzz-c: venv  ## throw inputs at the C side under sanitizers (needs clang; half a minute; ARGS="--inputs 10000000" for the campaign)
+	$(PY) scripts/fuzz_c.py $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
@@ -104,4 +110,4 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) $(PEERS) $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: $(shell sed -nE 's/^([a-z-]+):.*\#\#.*/\1/p' $(MAKEFILE_LIST))
+.PHONY: $(shell sed -nE 's/^([a-z-]+):( .*)?$$/\1/p' $(MAKEFILE_LIST))

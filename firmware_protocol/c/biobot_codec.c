@@ -159,6 +159,7 @@ static const uint8_t *find_programme(const struct bb_layout *layouts, uint8_t n_
     return 0;
 }
 
+#if BB_CODEC_MESSAGES
 /* Check what every radio payload has, take its header, and find the programme of the rest. */
 static void begin_payload(struct walk *walk, const uint8_t *payload, uint8_t length, const uint8_t *programme, uint8_t *header)
 {
@@ -179,6 +180,7 @@ static void begin_payload(struct walk *walk, const uint8_t *payload, uint8_t len
         walk->fault = BB_UNKNOWN_VERSION;
     }
 }
+#endif
 
 static void end_payload(struct walk *walk, const struct bb_layout *layouts, uint8_t n_layouts, const uint8_t *type, uint8_t *body)
 {
@@ -193,6 +195,7 @@ static void end_payload(struct walk *walk, const struct bb_layout *layouts, uint
     decode_body(walk, body);
 }
 
+#if BB_CODEC_MESSAGES
 /* The one rule that binds two fields (WIRE_FORMAT.md section 5.5). */
 static bool has_impossible_part(const struct bb_uplink *message)
 {
@@ -217,6 +220,7 @@ uint8_t bb_decode_downlink(const uint8_t *payload, uint8_t length, struct bb_dow
     end_payload(&walk, bb_downlink_layouts, BB_N_DOWNLINK_LAYOUTS, &message->header.type, (uint8_t *)&message->body);
     return walk.fault;
 }
+#endif
 
 uint8_t bb_decode_envelope(const uint8_t *body, uint8_t length, struct bb_envelope *envelope)
 {
@@ -294,6 +298,7 @@ static void encode_body(struct walk *walk, const uint8_t *owner)
 }
 
 /* The three steps of a radio payload stand side by side, not in each other: they share no stack. */
+#if BB_CODEC_MESSAGES
 static void begin_encoding(struct walk *walk, const uint8_t *programme, const uint8_t *header, uint8_t *payload, uint8_t size)
 {
     if (size > BB_MAX_RADIO_PAYLOAD) {
@@ -337,6 +342,7 @@ uint8_t bb_encode_downlink(const struct bb_downlink *message, uint8_t *payload, 
     encode_body(&walk, (const uint8_t *)&message->body);
     return end_encoding(&walk, payload);
 }
+#endif
 
 uint8_t bb_encode_envelope(const struct bb_envelope *envelope, uint8_t *body, uint8_t size)
 {

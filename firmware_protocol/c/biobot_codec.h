@@ -7,6 +7,12 @@
 
 #include "biobot_layouts.h"
 
+/* 0 leaves the messages of backpacks out: a coordinator carries them and does not read them. On an 8051, whose compiler gives every function
+ * some of the 128 octets of fast memory for good, what is left out counts. */
+#ifndef BB_CODEC_MESSAGES
+#define BB_CODEC_MESSAGES 1
+#endif
+
 #define BB_PROTOCOL_VERSION 1u
 
 /* Octets that a ZigBee unicast with APS security still carries in one piece. */
