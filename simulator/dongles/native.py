@@ -80,7 +80,7 @@ class NativeDongle:
     def start(self, *, now_ns: int) -> None:  # noqa: ARG002  # the interface's
         """Switch the coordinator on, with empty memory: it asks for a session."""
         self._link = Link(role=Role.RESPONDER, config=self.config.link)
-        self._decoder = CobsDecoder()
+        self._decoder = self.framing.make_decoder()
         self.requests.clear()
         self._n_in_radio = 0
         self._has_said_hello = False

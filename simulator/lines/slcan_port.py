@@ -134,6 +134,15 @@ class SlcanEnd:
         async with self._writing:
             await self._pty.write(self._adapter.pass_on(data))
 
+    async def unplug(self) -> None:
+        """See ``SerialEnd``; the adapter loses its power, and its channel is closed."""
+        await self._pty.unplug()
+        self._adapter = SlcanAdapter()
+
+    async def plug_in(self) -> None:
+        """See ``SerialEnd``."""
+        await self._pty.plug_in()
+
     async def aclose(self) -> None:
         """See ``PtyEnd.aclose``."""
         await self._pty.aclose()

@@ -18,7 +18,7 @@ from digi.xbee.models.status import TransmitStatus
 from firmware_protocol.contract.records import Stage, StimulationAction
 from firmware_protocol.message_codec import decode_uplink, encode_downlink
 from firmware_protocol.messages import HelloRequest, MessageFault, TimeSyncReply, TimeSyncRequest
-from tests.e2e.test_paced_meets_gateway import RECORDED, current, end_of, ready, simulating
+from tests.e2e.simulation import RECORDED, current, end_of, ready, simulating
 from tests.gateway.fake_radio import until
 from tests.gateway.harness import a_config, a_request, command, listening, running
 

@@ -8,7 +8,7 @@ import pytest
 
 from firmware_protocol.contract.records import JournalRecord, Stage, StimulationAction
 from studies.ledger import check_ledger
-from tests.e2e.test_paced_meets_gateway import as_rows, current, end_of, ready, simulating
+from tests.e2e.simulation import as_rows, current, end_of, ready, simulating
 from tests.gateway.fake_radio import until
 from tests.gateway.harness import a_config, a_request, command, listening, running
 
