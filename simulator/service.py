@@ -203,7 +203,8 @@ class Service:
 
         faults = self._config.faults.of_line(index)
         draws = None if faults is None else FaultDraws(config=faults, seed=self._cast.seed, line=index)
-        return Carrier(self._swarm.coordinators[index], line=line, feed=feed, faults=draws)
+        options = self._lines[index].gateway_options
+        return Carrier(self._swarm.coordinators[index], line=line, feed=feed, faults=draws, options=options)
 
     async def _pace(self) -> None:
         drained_ns: int | None = None

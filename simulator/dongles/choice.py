@@ -31,6 +31,11 @@ def make_dongle(dialect: str, *, index: int) -> Dongle:
     return (_MAKERS | _VARIANTS)[dialect](eui64, pan_id)
 
 
+def host_dialect(dongle: str) -> str:
+    """Return what a base station calls the dialect of a dongle of ``DONGLES``."""
+    return "xbee" if dongle in _VARIANTS else dongle
+
+
 def _make_native(eui64: int, pan_id: int) -> Dongle:
     return NativeDongle(config=NativeDongleConfig(eui64=eui64, pan_id=pan_id))
 

@@ -30,13 +30,18 @@ class Carrier:
         Takes what comes from the gateway.
     faults
         What goes wrong on the line; None: nothing.
+    options
+        What a gateway must say behind the line's address, such as ``?dialect=xbee``.
     """
 
-    def __init__(self, coordinator: Dongle, *, line: SerialEnd, feed: Callable[[bytes], None], faults: FaultDraws | None = None) -> None:
+    def __init__(
+        self, coordinator: Dongle, *, line: SerialEnd, feed: Callable[[bytes], None], faults: FaultDraws | None = None, options: str = ""
+    ) -> None:
         self._coordinator = coordinator
         self._faulty_line = None if faults is None else FaultyLine(line, faults)
         self._line: SerialEnd = self._faulty_line or line
         self._feed = feed
+        self._options = options
         self._backlog = bytearray()
         self._n_overruns = 0
         self._has_outgoing = asyncio.Event()
@@ -45,7 +50,7 @@ class Carrier:
     @property
     def address(self) -> str:
         """What a gateway is to open."""
-        return self._line.address
+        return self._line.address + self._options
 
     @property
     def is_open(self) -> bool:

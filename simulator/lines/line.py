@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from simulator.dongles.choice import DEFAULT_DIALECT, DONGLES
+from simulator.dongles.choice import DEFAULT_DIALECT, DONGLES, host_dialect
 from simulator.errors import ParameterError
 
 _CHUNK = 4096
@@ -60,6 +60,12 @@ class LineSpec:
     port: int = 0
     baud: int | None = None
     dialect: str = DEFAULT_DIALECT
+
+    @property
+    def gateway_options(self) -> str:
+        """What a gateway must say behind the line's address, so that it speaks the dialect; an slcan adapter's address says it already."""
+        spoken = host_dialect(self.dialect)
+        return "" if self.kind == "slcan" or spoken == DEFAULT_DIALECT else f"?dialect={spoken}"
 
 
 def parse_line(text: str) -> LineSpec:

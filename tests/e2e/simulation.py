@@ -10,6 +10,20 @@ from pathlib import Path
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord
 from tests.gateway.fake_radio import until
 
+RECORDED = """t_start_s,t_end_s,id1,id2
+100.280,100.300,3,5
+100.980,101.080,4,5
+104.000,109.140,3,100009
+104.020,104.020,5,100010
+106.500,111.900,4,3
+112.340,118.000,100010,1
+113.000,119.250,1,3
+125.500,126.750,3,5
+130.000,139.500,2,100009
+131.000,131.040,1,2
+139.980,140.000,4,100009
+"""
+
 
 @contextmanager
 def simulating(*arguments: str) -> Iterator[subprocess.Popen[str]]:

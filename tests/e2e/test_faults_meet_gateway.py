@@ -44,7 +44,7 @@ def test_nothing_is_lost_and_nothing_is_there_twice(
             "--report-period-s", "0.2", "--out", str(out), "--ready-file", str(ready_file),
         ) as process:  # fmt: skip
             (address,) = await ready(process, ready_file)
-            config = a_config(tmp_path, f"{address}?dialect={dialect}")
+            config = a_config(tmp_path, address)
             with listening(config) as peer:
                 async with running(config):
                     await peer.hear()

@@ -9,26 +9,13 @@ import pytest
 
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord, ModeRecord, Stage, StimulationAction
 from studies.ledger import check_ledger
-from tests.e2e.simulation import as_rows, current, end_of, ready, simulating
+from tests.e2e.simulation import RECORDED, as_rows, current, end_of, ready, simulating
 from tests.gateway.fake_radio import until
 from tests.gateway.harness import a_config, a_request, command, listening, running
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
 
 # As recorded with toy robots in a dish: short meetings, beacons with numbers that do not fit the wire, an instant of no length.
-RECORDED = """t_start_s,t_end_s,id1,id2
-100.280,100.300,3,5
-100.980,101.080,4,5
-104.000,109.140,3,100009
-104.020,104.020,5,100010
-106.500,111.900,4,3
-112.340,118.000,100010,1
-113.000,119.250,1,3
-125.500,126.750,3,5
-130.000,139.500,2,100009
-131.000,131.040,1,2
-139.980,140.000,4,100009
-"""
 
 
 def test_a_replayed_recording_arrives_at_the_gateway_as_exactly_its_encounters_and_a_stop_changes_nothing(tmp_path: Path) -> None:

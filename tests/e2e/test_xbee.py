@@ -35,7 +35,7 @@ def test_the_gateway_hears_every_encounter_through_an_xbee_and_a_stop_reaches_it
             "--report-period-s", "0.2", "--drain-s", "30", "--ready-file", str(ready_file),
         ) as process:  # fmt: skip
             (address,) = await ready(process, ready_file)
-            config = a_config(tmp_path, f"{address}?dialect=xbee&baud=9600")
+            config = a_config(tmp_path, f"{address}&baud=9600")
             with listening(config) as peer:
                 async with running(config):
                     await peer.hear()

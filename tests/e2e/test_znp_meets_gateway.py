@@ -25,7 +25,7 @@ def test_a_gateway_behind_a_zstack_dongle_has_every_encounter_and_its_command_is
             "--out", str(out), "--ready-file", str(ready_file),
         ) as process:  # fmt: skip
             (address,) = await ready(process, ready_file)
-            config = a_config(tmp_path, f"{address}?dialect=znp")
+            config = a_config(tmp_path, address)
             with listening(config) as peer:
                 async with running(config):
                     await peer.hear()
