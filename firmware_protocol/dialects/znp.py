@@ -116,7 +116,6 @@ class ZnpHost:
         self._n_silences = 0
         self._next_receipt = 1
         self._window = SendWindow(next_transaction=first_handle % 256)
-        self._n_openings = 0
         self._check_at_ns = 0
         self._permit_at_ns: int | None = None
 
@@ -295,7 +294,6 @@ class ZnpHost:
     def _begin_opening(self, now_ns: int) -> list[HostEvent]:
         self._outstanding = self._awaited = None
         self._frames.clear()
-        self._n_openings += 1
         self._opening = open_dongle(self._config)
         return self._advance(None, now_ns)
 
@@ -308,7 +306,8 @@ class ZnpHost:
             except StopIteration as end:
                 return events + self._opened(end.value, now_ns)
             except OpeningEndedError as end:
-                if end.why is LostWhy.NO_ANSWER and self._n_openings < _N_SILENCES:
+                self._n_silences += 1
+                if end.why is LostWhy.NO_ANSWER and self._n_silences < _N_SILENCES:
                     return events + self._begin_opening(now_ns)
                 return [*events, self._lose(end.why, end.detail)]
             came = None
@@ -364,7 +363,7 @@ class ZnpHost:
 
     def _forget_all(self) -> tuple[int, ...]:
         """Be closed; return the tickets whose fate will not be known."""
-        self._n_openings = 0
+        self._n_silences = 0
         self._frames.clear()
         self._opening = self._outstanding = self._awaited = None
         self.is_open = False

@@ -1,4 +1,4 @@
-"""The Z-Stack host against the virtual chip, beyond what every dialect's laws say: openings, statuses, silence."""
+"""The Z-Stack host against the virtual chip, beyond what every dialect's laws say: payloads, statuses, silence."""
 
 import pytest
 from hypothesis import given, settings
@@ -6,14 +6,12 @@ from hypothesis import strategies as st
 
 from firmware_protocol.dialects.interface import (
     RSSI_UNKNOWN,
-    CoordinatorSaid,
     HostLost,
-    HostOpened,
     LostWhy,
     NodeSeen,
     SendSettled,
 )
-from firmware_protocol.dialects.znp import ZnpHost, radio_status_of
+from firmware_protocol.dialects.znp import radio_status_of
 from firmware_protocol.dialects.znp_opening import ZnpHostConfig
 from firmware_protocol.dialects.znp_window import MAX_QUEUE
 from firmware_protocol.envelope import RadioReceived, RadioStatus
@@ -22,107 +20,9 @@ from firmware_protocol.framing.znp import ZnpDecoder
 from firmware_protocol.units import RssiDbm
 from firmware_protocol.znp import frames as znp
 from firmware_protocol.znp.codec import Message, decode_command
-from firmware_protocol.znp.numbers import BIOBOT_CLUSTER, BIOBOT_ENDPOINT, Command, DeviceState, NvItem, ZnpStatus
+from firmware_protocol.znp.numbers import BIOBOT_CLUSTER, BIOBOT_ENDPOINT, Command, DeviceState, ZnpStatus
 from simulator.dongles.znp import ZnpDongleConfig
-from simulator.dongles.znp_memory import ZnpNetwork
-from tests.simulator.znp_bench import CC2531, CC2531_WITH_LOADER, CC2652, EUI64, NODE, S, a_bench, every_chip, frame, heard, opened, settled
-
-# --- openings ---
-
-
-@every_chip
-def test_a_new_chip_forms_the_network_that_is_wanted(config: ZnpDongleConfig) -> None:
-    bench = opened(config, ZnpHostConfig(pan_id=0x0ABC, channels=1 << 26))
-    hello = bench.identified().hello
-    assert (hello.pan_id, hello.channel, hello.eui64) == (0x0ABC, 26, config.eui64)
-    assert bench.dongle.memory.network == ZnpNetwork(pan_id=0x0ABC, channel=26)
-    assert [one.name for one in bench.events if isinstance(one, CoordinatorSaid)].count("forming") == 1
-    assert bench.events.index(HostOpened()) < bench.events.index(bench.identified())
-
-
-@every_chip
-def test_a_chip_that_may_choose_takes_a_pan_of_its_own(config: ZnpDongleConfig) -> None:
-    assert opened(config).identified().hello.pan_id == config.pan_id
-
-
-@every_chip
-def test_a_reset_costs_the_opening_and_not_the_network(config: ZnpDongleConfig) -> None:
-    bench = opened(config)
-    before = bench.dongle.memory.network
-    bench.dongle.start(now_ns=bench.now_ns)
-    bench.run(100)
-    if config.has_boot_loader:  # it says nothing before it is told to start; the watchdog finds out
-        bench.run(20_000)
-    else:
-        bench.run(200)
-    lost = [one for one in bench.events if isinstance(one, HostLost)]
-    assert [one.why for one in lost] == [LostWhy.NO_ANSWER if config.has_boot_loader else LostWhy.RESTARTED]
-    bench.open()
-    bench.run_until_open()
-    assert bench.dongle.memory.network == before
-    assert len([one for one in bench.events if isinstance(one, CoordinatorSaid) and one.name == "forming"]) == 1
-
-
-@every_chip
-def test_a_second_base_station_finds_the_network_as_it_is_and_resets_nothing(config: ZnpDongleConfig) -> None:
-    bench = opened(config)
-    bench.asked.clear()
-    bench.host = ZnpHost(config=ZnpHostConfig(pan_id=0x0DEF, channels=1 << 11))
-    bench.open()
-    bench.run_until_open(within_ms=2_000)
-    assert bench.identified().hello.pan_id == config.pan_id
-    assert not [one for one in bench.asked if isinstance(one, znp.ResetRequest | znp.NvWriteRequest)]
-
-
-def test_a_network_that_somebody_else_has_formed_is_kept() -> None:
-    bench = a_bench()
-    bench.dongle.memory.found(ZnpNetwork(pan_id=0x1A62, channel=11))
-    bench.open()
-    bench.run_until_open()
-    hello = bench.identified().hello
-    assert (hello.pan_id, hello.channel) == (0x1A62, 11)
-
-
-def test_a_router_of_somebody_elses_network_is_refused_with_what_to_do() -> None:
-    bench = a_bench()
-    bench.dongle.memory.found(ZnpNetwork(pan_id=0x1A62, channel=11))
-    bench.dongle.memory.items[NvItem.LOGICAL_TYPE] = b"\x01"
-    bench.open()
-    bench.run(3_000)
-    lost = bench.events[-1]
-    assert isinstance(lost, HostLost)
-    assert lost.why is LostWhy.REFUSED
-    assert "erase its memory" in lost.detail
-
-
-def test_a_boot_loader_does_nothing_before_its_byte_comes() -> None:
-    bench = a_bench(CC2531_WITH_LOADER)
-    bench.dongle.feed(frame(znp.PingRequest()), now_ns=0)
-    bench.run(5_000)
-    assert not bench.dongle.take_bytes()
-    bench.open()
-    bench.run_until_open(within_ms=10_000)
-    assert bench.dongle.faults["not_running"] > 0
-
-
-def test_a_boot_loader_that_is_left_alone_starts_after_a_minute() -> None:
-    bench = a_bench(CC2531_WITH_LOADER)
-    bench.run(61_000, step_ms=100)
-    bench.dongle.feed(frame(znp.PingRequest()), now_ns=bench.now_ns)
-    assert bench.dongle.take_bytes() == frame(znp.PingReply(capabilities=0x0179))
-
-
-def test_an_opening_that_nobody_answers_waits_for_its_callers_patience_and_does_not_fill_memory() -> None:
-    bench = a_bench()
-    bench.is_cut = True
-    bench.open()
-    bench.run(60_000, step_ms=100)
-    assert not bench.events
-    bench.is_cut = False
-    bench.run_until_open(within_ms=10_000)
-
-
-# --- payloads ---
+from tests.simulator.znp_bench import CC2531, CC2531_WITH_LOADER, CC2652, EUI64, NODE, S, a_bench, frame, heard, opened, settled
 
 
 def test_what_is_heard_has_its_sender_and_quality_and_no_strength() -> None:
