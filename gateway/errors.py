@@ -9,6 +9,7 @@ GatewayError
 ├── JournalError
 │   ├── JournalUnfitError     the file is no journal of ours, or not ours to write: choose another
 │   └── JournalFullError      too much waits for the disk: wait until it takes records again
+├── RecordingError            a file is no recording, or cannot be written: choose another
 ├── BusError                  Zenoh cannot be opened as configured
 └── CommandError              a command could not be brought to a gateway
 """
@@ -79,6 +80,15 @@ class JournalFullError(JournalError):
     def __init__(self, *, limit: int) -> None:
         super().__init__(f"{limit} writes wait for the disk, the limit; try again when the journal takes records")
         self.limit = limit
+
+
+class RecordingError(GatewayError):
+    """A recording cannot be read or written."""
+
+    def __init__(self, *, path: str, reason: str) -> None:
+        super().__init__(f"recording {path}: {reason}")
+        self.path = path
+        self.reason = reason
 
 
 class BusError(GatewayError):
