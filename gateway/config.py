@@ -165,6 +165,22 @@ class MissionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     exploration_s: Annotated[float, msgspec.Meta(ge=0, le=604_800)] = 0.0
 
 
+class RecordingTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Whether the bytes on every radio's line are recorded (docs/recordings.md).
+
+    Keys
+    ----
+    directory
+        Where the files go; without it nothing is recorded.
+    max_mb
+        The files of one radio take no more than this [MB]: the oldest go. A busy line of 115,200 baud carries 1.0 GB a day, to which
+        each read and each frame written add 26 bytes.
+    """
+
+    directory: str | None = None
+    max_mb: Annotated[float, msgspec.Meta(ge=1, le=1_000_000)] = 256.0
+
+
 class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All of the gateway's configuration.
 
@@ -180,7 +196,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         Zenoh endpoints, such as ``tcp/127.0.0.1:7447``.
     log_level
         DEBUG, INFO, WARNING or ERROR.
-    link, encounters, clocks, stimulation, backpacks, mission
+    link, encounters, clocks, stimulation, backpacks, mission, recording
         Tables of their own.
     """
 
@@ -197,6 +213,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     stimulation: StimulationTable = StimulationTable()
     backpacks: BackpackTable = BackpackTable()
     mission: MissionTable = MissionTable()
+    recording: RecordingTable = RecordingTable()
 
 
 def load_gateway_config(

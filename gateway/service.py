@@ -4,7 +4,7 @@ import asyncio
 import random
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -28,9 +28,11 @@ from gateway.journal import Journal
 from gateway.log import EventLog
 from gateway.mission import Mission
 from gateway.nodes import NodeBook
+from gateway.recordings.radio_recorders import open_recorded, recording_radios
+from gateway.recordings.recorder import Recorder
 from gateway.stimulation import StimulationGate
 from gateway.transports.can_port import CanBuses
-from gateway.transports.spec import PortSpec, open_transport, parse_port_spec
+from gateway.transports.spec import PortSpec, parse_port_spec
 
 _log = EventLog(__name__)
 _SAY = {Level.DEBUG: _log.debug, Level.INFO: _log.info, Level.WARNING: _log.warning, Level.ERROR: _log.error}
@@ -61,7 +63,7 @@ class Service:
 
         Raises
         ------
-        TransportSpecError, JournalUnfitError, BusError
+        TransportSpecError, JournalUnfitError, BusError, RecordingError
             The configuration names what cannot be opened. A radio that is not there is no error: it is waited for.
         """
         ports = {spec.name: spec for spec in map(parse_port_spec, self._config.ports)}
@@ -69,14 +71,17 @@ class Service:
         try:
             bus = await asyncio.to_thread(Bus.open, self._config, health=self._health)
             try:
-                await self._run_parts(ports, bus, on_ready)
+                async with recording_radios(self._config.recording, self._config.ports) as recorders:
+                    await self._run_parts(ports, recorders, bus, on_ready)
             finally:
                 await asyncio.to_thread(bus.close)
         finally:
             await asyncio.to_thread(self._journal.close)
         _log.info("gateway.stopped", head_offset=self._journal.head_offset)
 
-    async def _run_parts(self, ports: dict[str, PortSpec], bus: Bus, on_ready: Callable[[], None] | None) -> None:
+    async def _run_parts(
+        self, ports: dict[str, PortSpec], recorders: Mapping[str, Recorder], bus: Bus, on_ready: Callable[[], None] | None
+    ) -> None:
         config, journal, health = self._config, self._journal, self._health
         now_ns = time.monotonic_ns()
         issuer = RecordIssuer(
@@ -104,7 +109,7 @@ class Service:
             name: Coordinator(
                 radio=name,
                 make_host=partial(_make_host, spec.dialect),
-                open_port=partial(open_transport, spec, can_buses=can_buses),
+                open_port=partial(open_recorded, spec, recorders.get(name), can_buses=can_buses),
                 on_radio=intake.take,
                 config=config.link,
                 health=health,

@@ -72,11 +72,14 @@ class Dialect:
     make_decoder
         Makes the framing's decoder for one direction.
     dissect
-        Says what a frame body means; never raises.
+        Says what a frame body means, and given True, one to the dongle; never raises.
+    delimiter
+        The byte that ends every frame, and stands nowhere else; None where there is none.
     """
 
     make_decoder: Callable[[], FrameDecoder]
     dissect: Callable[[bytes, bool], Dissection]
+    delimiter: bytes | None = None
 
 
 @dataclass(slots=True)
@@ -92,6 +95,13 @@ class LineDissector:
     def begin_anew(self) -> None:
         """Forget half a frame: the port was opened."""
         self._decoders = {is_outgoing: self.dialect.make_decoder() for is_outgoing in (False, True)}
+
+    def pieces(self, chunk: bytes) -> list[bytes]:
+        """Cut a chunk so that no piece goes on behind the end of a frame: fed one by one, they show which bytes each frame had."""
+        if self.dialect.delimiter is None:
+            return [chunk[at : at + 1] for at in range(len(chunk))]
+        *ended, rest = chunk.split(self.dialect.delimiter)
+        return [one + self.dialect.delimiter for one in ended] + ([rest] if rest else [])
 
     def feed(self, chunk: bytes, *, is_outgoing: bool) -> list[Dissection]:
         """Take the next bytes of a direction; return the frames and faults that they complete."""

@@ -53,4 +53,4 @@ def _dissect_envelope(body: bytes, *, is_outgoing: bool, fields: dict[str, objec
     return Dissection(is_outgoing=is_outgoing, name="DATA", fields=fields, payload=payload, network=network)
 
 
-NATIVE = Dialect(make_decoder=CobsDecoder, dissect=dissect_native)
+NATIVE = Dialect(make_decoder=CobsDecoder, dissect=dissect_native, delimiter=b"\x00")

@@ -1,0 +1,105 @@
+"""``biobot-gateway run``, and the configuration it would run with."""
+
+import argparse
+import asyncio
+import json
+import os
+from pathlib import Path
+
+import msgspec
+
+from firmware_protocol.errors import ConfigurationError
+from gateway.commands.outcome import DONE
+from gateway.config import GatewayConfig, load_gateway_config
+from gateway.errors import TransportSpecError
+from gateway.log import set_up_logging
+from gateway.transports.spec import parse_port_spec
+
+
+def add_config(parser: argparse.ArgumentParser, *, default: object) -> None:
+    """Add ``--config`` and ``--check-config``, which may stand before the command and after it."""
+    help_text = "TOML file; BIOBOT_GATEWAY__... variables and flags win over it"
+    parser.add_argument("--config", type=Path, metavar="FILE", default=default, help=help_text)
+    help_text = "print the configuration that would be used, and leave"
+    parser.add_argument("--check-config", action="store_true", default=default or False, help=help_text)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of ``run``."""
+    parser.add_argument(
+        "--port", action="append", metavar="SPEC", help="a radio: serial:/dev/ttyACM0?baud=115200&dialect=xbee or tcp:HOST:PORT; repeatable"
+    )
+    parser.add_argument("--site", help="name of the site in every key (default: local)")
+    parser.add_argument("--name", help="name of this gateway in every key (default: gateway1)")
+    parser.add_argument("--journal", metavar="FILE", help="journal (default: biobot-gateway.sqlite)")
+    parser.add_argument("--record", metavar="DIR", help="record the bytes on every radio's line into files here, the oldest go")
+    parser.add_argument("--listen", action="append", metavar="EP", help="Zenoh endpoint to listen on (default: tcp/127.0.0.1:7447)")
+    parser.add_argument("--connect", action="append", metavar="EP", help="Zenoh endpoint to connect to; repeatable")
+    parser.add_argument("--mission", action="store_true", default=None, help="run the mission: dispersion, landmarks, exploration")
+    parser.add_argument("--dispersion-s", type=float, metavar="S", help="how long all walk before landmarks are chosen (default: 60)")
+    parser.add_argument("--landmarks", type=int, metavar="N", help="how many landmarks (default: a share of the biobots)")
+    parser.add_argument("--landmark-share", type=float, metavar="X", help="that share (default: 0.15)")
+    parser.add_argument("--exploration-s", type=float, metavar="S", help="how long exploration lasts (default: until stopped)")
+    parser.add_argument("--log-level", choices=["DEBUG", "INFO", "WARNING", "ERROR"])
+    # SUPPRESS: what was given before the word "run" stays when it is not given again after it.
+    add_config(parser, default=argparse.SUPPRESS)
+
+
+def check_alone(options: argparse.Namespace) -> int:
+    """Print the configuration without a command, or say that a command is missing."""
+    if not options.check_config:
+        raise ConfigurationError(["no command: give one, such as run or probe; biobot-gateway --help lists them"])
+    config = load_gateway_config(toml_path=options.config, environment=os.environ, flags={})
+    print(json.dumps(msgspec.to_builtins(config), indent=2))
+    return DONE
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the gateway until it is told to stop."""
+    config = load_gateway_config(
+        toml_path=options.config,
+        environment=os.environ,
+        flags={
+            "ports": options.port,
+            "site": options.site,
+            "name": options.name,
+            "journal": options.journal,
+            "recording.directory": options.record,
+            "listen": options.listen,
+            "connect": options.connect,
+            "log_level": options.log_level,
+            "mission.is_enabled": options.mission,
+            "mission.dispersion_s": options.dispersion_s,
+            "mission.n_landmarks": options.landmarks,
+            "mission.landmark_share": options.landmark_share,
+            "mission.exploration_s": options.exploration_s,
+        },
+    )
+    _check_ports(config)
+    if options.check_config:
+        print(json.dumps(msgspec.to_builtins(config), indent=2))
+        return DONE
+    set_up_logging(level=config.log_level)
+    from gateway.service import run_gateway  # noqa: PLC0415  # Zenoh loads 33 MB, which --help and --check-config do not need
+
+    asyncio.run(run_gateway(config))
+    return DONE
+
+
+def _check_ports(config: GatewayConfig) -> None:
+    problems = []
+    names: set[str] = set()
+    for spec in config.ports:
+        try:
+            name = parse_port_spec(spec).name
+            if name in names:
+                problems.append(f"port {name} is named twice")
+            names.add(name)
+        except TransportSpecError as error:
+            problems.append(str(error))
+    if not config.ports:
+        problems.append(
+            "no radio: name at least one with --port, such as --port serial:/dev/ttyACM0; `biobot-gateway list-ports` shows them"
+        )
+    if problems:
+        raise ConfigurationError(problems)
