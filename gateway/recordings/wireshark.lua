@@ -122,7 +122,7 @@ local function add_layout(layout, tvb, at, limit, tree)
   return values, count
 end
 
-local function looks_like_message(tvb)
+local function is_message(tvb)
   local size = tvb:len()
   return size >= 6 and size <= MAX_RADIO_PAYLOAD and MESSAGES[tvb(0, 1):uint()] ~= nil and crc16(tvb()) == 0
 end
@@ -152,18 +152,14 @@ local function dissect_message(tvb, pinfo, tree)
 end
 
 function message.dissector(tvb, pinfo, tree)
-  if not looks_like_message(tvb) then
+  if not is_message(tvb) then
     tree:add(message, tvb(), "Biobot: no message of this version"):add_proto_expert_info(bad, "type or CRC-16")
     return
   end
   dissect_message(tvb, pinfo, tree)
 end
 
-message:register_heuristic("wpan", function(tvb, pinfo, tree)
-  if not looks_like_message(tvb) then return false end
-  dissect_message(tvb, pinfo, tree)
-  return true
-end)
+DissectorTable.get("zbee.profile"):add(PROFILE, message)
 
 -- Undoes consistent overhead byte stuffing; returns the bytes in hexadecimal, or nil.
 local function cobs_decode(range)

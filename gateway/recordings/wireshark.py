@@ -7,6 +7,7 @@ from importlib.resources import files
 from firmware_protocol.envelope import RadioStatus
 from firmware_protocol.layouts import DOWNLINK_HEADER, DOWNLINK_LAYOUTS, ENVELOPE_LAYOUTS, UPLINK_HEADER, UPLINK_LAYOUTS, Field, Layout
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD, Action, StimulationResult, WireCause, WireMode
+from gateway.recordings.capture import PROFILE
 from gateway.recordings.native_line import KINDS
 
 _NAMES: dict[tuple[str, str], type[IntEnum]] = {
@@ -42,6 +43,7 @@ def make_lua_dissector() -> str:
     return "\n".join(
         [
             f"-- Made by biobot-gateway {version('biobot-gateway')}: biobot-gateway pcap --dissector FILE",
+            f"local PROFILE = {PROFILE}",
             f"local MAX_RADIO_PAYLOAD = {MAX_RADIO_PAYLOAD}",
             f"local LINK_KINDS = {_names(KINDS)}",
             f"local LINK_HEADER = {_fields('link', _LINK_HEADER)}",
