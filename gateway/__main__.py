@@ -17,6 +17,7 @@ Command = Callable[[argparse.Namespace], int]
 _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "run": ("run the gateway", run.add_arguments, run.run),
     "list-ports": ("list the serial ports of this machine, those with a by-id link first", ports.add_list_arguments, ports.list_ports),
+    "probe": ("tell which dialect, firmware and network answers at a port", ports.add_probe_arguments, ports.probe),
     "command": ("command a biobot through a running gateway", asking.add_command_arguments, asking.command),
     "status": (
         "print what a running gateway says of itself; exit status 1 where none does",

@@ -64,7 +64,7 @@ class HostSession:
         writing = asyncio.ensure_future(self._write())
         reading = asyncio.ensure_future(self._read())
         try:
-            done, _ = await asyncio.wait({writing, reading}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait({writing, reading}, return_when=asyncio.FIRST_COMPLETED)
         finally:
             writing.cancel()
             reading.cancel()

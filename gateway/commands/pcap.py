@@ -36,7 +36,9 @@ def pcap(options: argparse.Namespace) -> int:
     """Write a capture, the dissector, or both."""
     n_paths = 1 if options.port is not None else 2
     if len(options.paths) != n_paths and (options.paths or options.port is not None or options.dissector is None):
-        wanted = "--port SPEC OUT.pcapng" if options.port is not None else "RECORDING OUT.pcapng, --port SPEC OUT.pcapng, or --dissector LUA"
+        wanted = (
+            "--port SPEC OUT.pcapng" if options.port is not None else "RECORDING OUT.pcapng, --port SPEC OUT.pcapng, or --dissector LUA"
+        )
         raise ConfigurationError([f"pcap: {len(options.paths)} files are named; give {wanted}"])
     if options.dissector is not None:
         _write_text(options.dissector, make_lua_dissector())

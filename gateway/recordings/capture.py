@@ -13,9 +13,9 @@ from gateway.recordings.pcapng import LinkType, PcapngWriter
 from gateway.transports.recording import LineRecord, RecordKind
 
 SECTION_COMMENT = (
-    "From a recording of the line between a base station and a coordinator dongle. The IEEE 802.15.4 and ZigBee headers are synthesized around "
-    "the radio payloads that the dongle handed over: addresses are the dongle's, PAN and channel are as it told them (0xffff and none until "
-    "then), counters, endpoints, profile and cluster are made up, and 0x0000 stands for the coordinator."
+    "From a recording of the line between a base station and a coordinator dongle. The IEEE 802.15.4 and ZigBee headers are synthesized "
+    "around the radio payloads that the dongle handed over: addresses are the dongle's, PAN and channel are as it told them (0xffff and "
+    "none until then), counters, endpoints, profile and cluster are made up, and 0x0000 stands for the coordinator."
 )
 
 _BYTES = (RecordKind.BYTES_IN, RecordKind.BYTES_OUT)
@@ -35,7 +35,7 @@ _NETWORK_DATA, _RADIUS = 0x0008, 30
 _APPLICATION_UNICAST, _APPLICATION_BROADCAST = 0x00, 0x08
 PROFILE = 0xC10B
 """Profile, of the manufacturer-specific range, that stands in captures before every biobot message; the Wireshark dissector knows it."""
-_ENDPOINT, _CLUSTER = 1, 1
+_ENDPOINT, _CLUSTER = 1, 0xFC0B
 
 # Fields of the TAP header (github.com/jkcko/ieee802.15.4-tap).
 _NO_CHECKSUM, _RSS, _CHANNEL, _LQI = 0, 1, 3, 10

@@ -17,5 +17,7 @@ def make_line_dissector(dialect: str, *, path: str) -> LineDissector:
     """
     found = _DIALECTS.get(dialect)
     if found is None:
-        raise RecordingError(path=path, reason=f"has the dialect {dialect!r}, which is none of {', '.join(_DIALECTS)}; name it by --dialect")
+        raise RecordingError(
+            path=path, reason=f"has the dialect {dialect!r}, which is none of {', '.join(_DIALECTS)}; name it by --dialect"
+        )
     return LineDissector(found)

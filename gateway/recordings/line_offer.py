@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Self
 
 from gateway.errors import TransportOpenError, TransportSpecError
 
@@ -98,7 +98,7 @@ class _PtyOffer:
         self._name = os.ttyname(slave)
         os.close(slave)  # held open by us, a reader's hang-up could not be noticed
 
-    def __enter__(self) -> "_PtyOffer":
+    def __enter__(self) -> Self:
         try:
             if self._path.is_symlink() and str(self._path.readlink()).startswith("/dev/pts/"):
                 self._path.unlink()
@@ -116,7 +116,7 @@ class _PtyOffer:
         os.close(self._master)
 
     async def wait_for_reader(self) -> None:
-        while not self._is_there():
+        while not self._is_there():  # noqa: ASYNC110  # a terminal that nobody has open is readable all the time
             await asyncio.sleep(_POLL_S)
 
     async def write(self, data: bytes) -> bool:
@@ -132,7 +132,7 @@ class _PtyOffer:
         return True
 
     async def wait_for_end(self) -> None:
-        while self._is_there():
+        while self._is_there():  # noqa: ASYNC110  # same
             await asyncio.sleep(_POLL_S)
 
     def _is_there(self) -> bool:

@@ -4,13 +4,17 @@ import asyncio
 import contextlib
 import os
 import termios
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import serial
 from serial.tools import list_ports
 
 from gateway.errors import TransportClosedError, TransportOpenError
+
+_ResultT = TypeVar("_ResultT")
 
 _READ_SIZE = 4096
 _WRITE_TIMEOUT_S = 5.0
@@ -94,6 +98,15 @@ class SerialTransport:
         with contextlib.suppress(OSError, termios.error):
             self._port.close()
 
+    def set_lines(self, *, dtr: bool, rts: bool) -> bool:
+        """Assert or release DTR and RTS; False where the device has no such lines, as a pseudo-terminal."""
+        try:
+            self._port.dtr = dtr
+            self._port.rts = rts
+        except OSError:
+            return False
+        return True
+
     def _check_open(self) -> None:
         if self._is_closed:
             raise TransportClosedError(name=self._name, reason="closed by this side")
@@ -146,6 +159,22 @@ async def open_serial(*, path: str, baud: int) -> SerialTransport:
     return SerialTransport(name=name, port=port)
 
 
+@contextlib.contextmanager
+def settings_kept(path: str) -> Iterator[None]:
+    """Give a serial port's settings back at the end as they were; where they cannot be read, nothing is done."""
+    try:
+        saved = _with_terminal(path, termios.tcgetattr)
+    except (OSError, termios.error):
+        saved = None
+    try:
+        yield
+    finally:
+        if saved is not None:
+            attributes = saved
+            with contextlib.suppress(OSError, termios.error):  # unplugged meanwhile
+                _with_terminal(path, lambda fd: termios.tcsetattr(fd, termios.TCSANOW, attributes))
+
+
 def list_serial_ports() -> list[SerialPortInfo]:
     """Return the serial ports of this machine, those with a by-id link first."""
     by_id = {str(link.resolve()): str(link) for link in sorted(_BY_ID.iterdir())} if _BY_ID.is_dir() else {}
@@ -161,6 +190,14 @@ def list_serial_ports() -> list[SerialPortInfo]:
         for port in list_ports.comports()
     ]
     return sorted(ports, key=lambda port: (port.by_id is None, port.vid is None, port.device))
+
+
+def _with_terminal(path: str, do: Callable[[int], _ResultT]) -> _ResultT:
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        return do(fd)
+    finally:
+        os.close(fd)
 
 
 def _open_blocking(path: str, baud: int) -> serial.Serial:

@@ -1,0 +1,193 @@
+"""Tries a port at one speed after the other until something answers that can be told."""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from dataclasses import replace
+from typing import Any
+
+from gateway.errors import TransportError, TransportOpenError
+from gateway.probing import findings
+from gateway.probing.asking import ANSWER_S, Identity, ask_host, ask_transparent_xbee, ask_xbee, ask_znp, exchange
+from gateway.probing.findings import Finding, Verdict
+from gateway.probing.recognition import (
+    LAST_TESTS,
+    LEAVE_BOOT_LOADER,
+    RESET_ROM_BOOT_LOADER,
+    TEST_FRAMES,
+    Family,
+    is_rom_acknowledgement,
+    recognise,
+)
+from gateway.transports.interface import Transport
+from gateway.transports.serial_port import SerialTransport, settings_kept
+from gateway.transports.spec import PortSpec, SerialSpec, open_transport, parse_port_spec
+
+BAUDS = (115_200, 9_600, 57_600, 38_400, 230_400)
+"""In this order: what most dongles have, what an XBee has from the factory, and the rest."""
+
+_BOOT_S = 1.2
+"""What a CC253x takes to start its firmware once it has left the boot loader (zigbee2mqtt's dongles: about a second)."""
+
+_BOOT_LOADER_BAUD = 115_200
+_LINES_S = 0.15
+_LINES = ((False, False), (False, True), (False, False))
+"""DTR and RTS, one after the other, that restart CC2652 boards whose boot loader pin and reset hang on them."""
+
+_SHOWN = 24
+_BUS_DIALECTS = {"can", "canfd"}
+
+_ASK: dict[Family, Callable[[Transport], Coroutine[Any, Any, Identity]]] = {
+    Family.NATIVE: lambda transport: ask_host(transport, dialect="native"),
+    Family.XBEE: ask_xbee,
+    Family.ZNP: ask_znp,
+}
+_STUCK = {
+    Family.CC253X_BOOT_LOADER: findings.CC253X_STUCK,
+    Family.CC26X2_BOOT_LOADER: findings.CC26X2_STUCK,
+    Family.MENU_BOOT_LOADER: findings.MENU_STUCK,
+}
+
+
+async def probe_port(port: str, *, is_intrusive: bool = False) -> Finding:
+    """Tell what is at a port, named by a device's path or as ``--port`` has it; with ``baud=`` only that speed is tried.
+
+    The port's settings are as they were when this returns. Opening a port asserts DTR and RTS, as every program does that opens one;
+    nothing else is done with them unless ``is_intrusive``.
+
+    Raises
+    ------
+    TransportSpecError
+        The name means nothing.
+    """
+    spec = parse_port_spec(port if ":" in port else f"serial:{port}")
+    try:
+        if isinstance(spec, SerialSpec):
+            with settings_kept(spec.path):
+                return await _probe_serial(port, spec, is_intrusive=is_intrusive)
+        if spec.dialect in _BUS_DIALECTS:
+            return await _probe_bus(port, spec)
+        return await _probe_tcp(port, spec)
+    except TransportOpenError as error:
+        return Finding(port=port, verdict=Verdict.NOT_OPENED, advice=error.reason)
+    except TransportError as error:
+        return Finding(port=port, verdict=Verdict.SILENT, advice=f"it went away while it was asked: {error}")
+
+
+async def _probe_serial(port: str, spec: SerialSpec, *, is_intrusive: bool) -> Finding:
+    bauds = (spec.baud,) if "baud=" in port else BAUDS
+    heard = b""
+    for number, baud in enumerate(bauds):
+        transport = await open_transport(replace(spec, baud=baud))
+        try:
+            if is_intrusive and number == 0:
+                await _toggle_lines(transport)
+            family, said = await _find(transport, baud=baud, is_intrusive=is_intrusive)
+            heard = heard or said
+            if family is not None:
+                return await _tell(transport, family, port=port, base=f"serial:{spec.path}?baud={baud}&dialect=", baud=baud)
+            if is_intrusive and (identity := await ask_transparent_xbee(transport)) is not None:
+                return Finding(
+                    port=port,
+                    verdict=Verdict.ANSWERS,
+                    family=Family.XBEE.value,
+                    baud=baud,
+                    firmware=identity.firmware,
+                    facts=identity.facts,
+                    spec=f"serial:{spec.path}?baud={baud}&dialect=xbee",
+                    advice=findings.XBEE_TRANSPARENT,
+                )
+        finally:
+            await transport.aclose()
+    return _silent(port, heard)
+
+
+async def _probe_tcp(port: str, spec: PortSpec) -> Finding:
+    transport = await open_transport(spec)
+    try:
+        family, heard = await _find(transport, baud=_BOOT_LOADER_BAUD, is_intrusive=False)
+        if family is not None:
+            return await _tell(transport, family, port=port, base=f"{spec.name}?dialect=", baud=None)
+        return _silent(port, heard)
+    finally:
+        await transport.aclose()
+
+
+async def _probe_bus(port: str, spec: PortSpec) -> Finding:
+    """Ask on a CAN bus as the gateway would: neither dialect nor speed is a question there."""
+    transport = await open_transport(spec)
+    try:
+        identity = await ask_host(transport, dialect=spec.dialect)
+    finally:
+        await transport.aclose()
+    if not identity.facts:
+        return Finding(port=port, verdict=Verdict.SILENT, advice=f"no coordinator answered in dialect {spec.dialect}")
+    return Finding(port=port, verdict=Verdict.ANSWERS, family=spec.dialect, firmware=identity.firmware, facts=identity.facts, spec=port)
+
+
+async def _find(transport: Transport, *, baud: int, is_intrusive: bool) -> tuple[Family | None, bytes]:
+    """Return the family that answers, and all that was heard."""
+    family, heard = await _test(transport)
+    if family is Family.CC253X_BOOT_LOADER or (family is None and baud == _BOOT_LOADER_BAUD):
+        # Some boot loaders do not even answer their handshake; all know this byte, and nothing else does.
+        said = await exchange(transport, LEAVE_BOOT_LOADER, is_enough=lambda data: recognise(data) is not None, wait_s=_BOOT_S)
+        again, more = await _test(transport)
+        family, heard = again or family, heard + said + more
+    if family is not None:
+        return family, heard
+    for test in LAST_TESTS:
+        said = await exchange(transport, test, is_enough=lambda data: recognise(data) is not None)
+        heard += said
+        if (family := recognise(said)) is not None:
+            return family, heard
+        if is_rom_acknowledgement(said):
+            return await _leave_rom(transport, is_intrusive=is_intrusive), heard
+    return None, heard
+
+
+async def _leave_rom(transport: Transport, *, is_intrusive: bool) -> Family:
+    if is_intrusive:
+        await exchange(transport, RESET_ROM_BOOT_LOADER, is_enough=lambda data: recognise(data) is not None, wait_s=_BOOT_S)
+        family, _ = await _test(transport)
+        if family is not None:
+            return family
+    return Family.CC26X2_BOOT_LOADER
+
+
+async def _test(transport: Transport) -> tuple[Family | None, bytes]:
+    heard = await exchange(transport, TEST_FRAMES, is_enough=lambda data: recognise(data) is not None)
+    return recognise(heard), heard
+
+
+async def _tell(transport: Transport, family: Family, *, port: str, base: str, baud: int | None) -> Finding:
+    if family in _STUCK:
+        return Finding(port=port, verdict=Verdict.BOOT_LOADER, family=family.value, baud=baud, advice=_STUCK[family])
+    if family is Family.EZSP:
+        return Finding(port=port, verdict=Verdict.UNSUPPORTED, family=family.value, baud=baud, advice=findings.EZSP_UNSUPPORTED)
+    identity = await _ASK[family](transport)
+    return Finding(
+        port=port,
+        verdict=Verdict.ANSWERS,
+        family=family.value,
+        baud=baud,
+        firmware=identity.firmware,
+        facts=identity.facts,
+        spec=base + family.value,
+        advice=identity.advice,
+    )
+
+
+async def _toggle_lines(transport: Transport) -> None:
+    if isinstance(transport, SerialTransport):
+        for dtr, rts in _LINES:
+            if not transport.set_lines(dtr=dtr, rts=rts):
+                return
+            await asyncio.sleep(_LINES_S)
+        await exchange(transport, b"", is_enough=lambda _: False, wait_s=ANSWER_S)
+
+
+def _silent(port: str, heard: bytes) -> Finding:
+    advice = findings.NOBODY
+    if heard:
+        beginning = heard[:_SHOWN].hex(" ")
+        advice = f"{len(heard)} bytes came that no dialect explains, beginning {beginning}: another kind of device, or another speed"
+    return Finding(port=port, verdict=Verdict.SILENT, advice=advice)
