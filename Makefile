@@ -80,6 +80,10 @@ campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arena
 check-kernels: venv  ## the mapper's tests of kernels once more, under the address and undefined-behaviour sanitizers (a minute)
 	$(PY) scripts/check_kernels.py $(ARGS)
 
+hil: venv  ## check what is plugged in, capability by capability (PORT=/dev/serial/by-id/... ARGS="--dialect xbee")
+	@test -n "$(PORT)" || { echo 'name what is plugged in: make hil PORT=/dev/serial/by-id/...; biobot-gateway list-ports shows what there is' >&2; exit 2; }
+	$(PY) -m gateway check-radio "$(PORT)" $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
@@ -90,4 +94,4 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) $(PEERS) $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-rips wire-peers bench-live campaign-walls check-kernels lock docker-check clean
+.PHONY: help venv demo test check format format-check lint types layers system-packages train sweep theory bench-sim bench-map bench-rips wire-peers bench-live campaign-walls check-kernels hil lock docker-check clean

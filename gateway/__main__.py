@@ -7,7 +7,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError, ProtocolError
-from gateway.commands import asking, lines, pcap, ports, run
+from gateway.commands import asking, check_radio, lines, pcap, ports, run
 from gateway.commands.outcome import FAILED, USAGE, complain
 from gateway.errors import GatewayError, TransportSpecError
 
@@ -18,6 +18,7 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "run": ("run the gateway", run.add_arguments, run.run),
     "list-ports": ("list the serial ports of this machine, those with a by-id link first", ports.add_list_arguments, ports.list_ports),
     "probe": ("tell which dialect, firmware and network answers at a port", ports.add_probe_arguments, ports.probe),
+    "check-radio": ("check a radio, capability by capability", check_radio.add_arguments, check_radio.check),
     "command": ("command a biobot through a running gateway", asking.add_command_arguments, asking.command),
     "status": (
         "print what a running gateway says of itself; exit status 1 where none does",

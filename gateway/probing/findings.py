@@ -45,12 +45,12 @@ class Finding:
 
 
 CC253X_STUCK = (
-    "it stays in its serial boot loader, though it was told to start its firmware: unplug it and plug it in again; if it comes back to this "
-    "it has no firmware: flash Z-Stack ZNP firmware"
+    "it stays in its serial boot loader, though it was told to start its firmware: unplug it and plug it in again; if it comes back to "
+    "this it has no firmware: flash Z-Stack ZNP firmware"
 )
 CC26X2_STUCK = (
-    "it waits in the boot loader of its ROM: unplug it and plug it in again without pressing its button; --intrusive restarts it from here. "
-    "If it comes back to this it has no firmware: flash Z-Stack 3 coordinator firmware"
+    "it waits in the boot loader of its ROM: unplug it and plug it in again without pressing its button; --intrusive restarts it from "
+    "here. If it comes back to this it has no firmware: flash Z-Stack 3 coordinator firmware"
 )
 MENU_STUCK = (
     "it shows a boot loader's menu: choose `run` there (often key 2) with a terminal program, or load firmware, to an XBee with Digi's XCTU"

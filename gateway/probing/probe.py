@@ -7,7 +7,7 @@ from typing import Any
 
 from gateway.errors import TransportError, TransportOpenError
 from gateway.probing import findings
-from gateway.probing.asking import ANSWER_S, Identity, ask_host, ask_transparent_xbee, ask_xbee, ask_znp, exchange
+from gateway.probing.asking import Identity, Pace, ask_host, ask_transparent_xbee, ask_xbee, ask_znp, exchange
 from gateway.probing.findings import Finding, Verdict
 from gateway.probing.recognition import (
     LAST_TESTS,
@@ -25,9 +25,6 @@ from gateway.transports.spec import PortSpec, SerialSpec, open_transport, parse_
 BAUDS = (115_200, 9_600, 57_600, 38_400, 230_400)
 """In this order: what most dongles have, what an XBee has from the factory, and the rest."""
 
-_BOOT_S = 1.2
-"""What a CC253x takes to start its firmware once it has left the boot loader (zigbee2mqtt's dongles: about a second)."""
-
 _BOOT_LOADER_BAUD = 115_200
 _LINES_S = 0.15
 _LINES = ((False, False), (False, True), (False, False))
@@ -36,8 +33,8 @@ _LINES = ((False, False), (False, True), (False, False))
 _SHOWN = 24
 _BUS_DIALECTS = {"can", "canfd"}
 
-_ASK: dict[Family, Callable[[Transport], Coroutine[Any, Any, Identity]]] = {
-    Family.NATIVE: lambda transport: ask_host(transport, dialect="native"),
+_ASK: dict[Family, Callable[[Transport, Pace], Coroutine[Any, Any, Identity]]] = {
+    Family.NATIVE: lambda transport, pace: ask_host(transport, pace, dialect="native"),
     Family.XBEE: ask_xbee,
     Family.ZNP: ask_znp,
 }
@@ -48,7 +45,7 @@ _STUCK = {
 }
 
 
-async def probe_port(port: str, *, is_intrusive: bool = False) -> Finding:
+async def probe_port(port: str, *, is_intrusive: bool = False, pace: Pace | None = None) -> Finding:
     """Tell what is at a port, named by a device's path or as ``--port`` has it; with ``baud=`` only that speed is tried.
 
     The port's settings are as they were when this returns. Opening a port asserts DTR and RTS, as every program does that opens one;
@@ -59,33 +56,34 @@ async def probe_port(port: str, *, is_intrusive: bool = False) -> Finding:
     TransportSpecError
         The name means nothing.
     """
+    pace = pace or Pace()
     spec = parse_port_spec(port if ":" in port else f"serial:{port}")
     try:
         if isinstance(spec, SerialSpec):
             with settings_kept(spec.path):
-                return await _probe_serial(port, spec, is_intrusive=is_intrusive)
+                return await _probe_serial(port, spec, pace, is_intrusive=is_intrusive)
         if spec.dialect in _BUS_DIALECTS:
-            return await _probe_bus(port, spec)
-        return await _probe_tcp(port, spec)
+            return await _probe_bus(port, spec, pace)
+        return await _probe_tcp(port, spec, pace)
     except TransportOpenError as error:
         return Finding(port=port, verdict=Verdict.NOT_OPENED, advice=error.reason)
     except TransportError as error:
         return Finding(port=port, verdict=Verdict.SILENT, advice=f"it went away while it was asked: {error}")
 
 
-async def _probe_serial(port: str, spec: SerialSpec, *, is_intrusive: bool) -> Finding:
+async def _probe_serial(port: str, spec: SerialSpec, pace: Pace, *, is_intrusive: bool) -> Finding:
     bauds = (spec.baud,) if "baud=" in port else BAUDS
     heard = b""
     for number, baud in enumerate(bauds):
         transport = await open_transport(replace(spec, baud=baud))
         try:
             if is_intrusive and number == 0:
-                await _toggle_lines(transport)
-            family, said = await _find(transport, baud=baud, is_intrusive=is_intrusive)
+                await _toggle_lines(transport, pace)
+            family, said = await _find(transport, pace, baud=baud, is_intrusive=is_intrusive)
             heard = heard or said
             if family is not None:
-                return await _tell(transport, family, port=port, base=f"serial:{spec.path}?baud={baud}&dialect=", baud=baud)
-            if is_intrusive and (identity := await ask_transparent_xbee(transport)) is not None:
+                return await _tell(transport, family, pace, port=port, base=f"serial:{spec.path}?baud={baud}&dialect=", baud=baud)
+            if is_intrusive and (identity := await ask_transparent_xbee(transport, pace)) is not None:
                 return Finding(
                     port=port,
                     verdict=Verdict.ANSWERS,
@@ -101,22 +99,22 @@ async def _probe_serial(port: str, spec: SerialSpec, *, is_intrusive: bool) -> F
     return _silent(port, heard)
 
 
-async def _probe_tcp(port: str, spec: PortSpec) -> Finding:
+async def _probe_tcp(port: str, spec: PortSpec, pace: Pace) -> Finding:
     transport = await open_transport(spec)
     try:
-        family, heard = await _find(transport, baud=_BOOT_LOADER_BAUD, is_intrusive=False)
+        family, heard = await _find(transport, pace, baud=_BOOT_LOADER_BAUD, is_intrusive=False)
         if family is not None:
-            return await _tell(transport, family, port=port, base=f"{spec.name}?dialect=", baud=None)
+            return await _tell(transport, family, pace, port=port, base=f"{spec.name}?dialect=", baud=None)
         return _silent(port, heard)
     finally:
         await transport.aclose()
 
 
-async def _probe_bus(port: str, spec: PortSpec) -> Finding:
+async def _probe_bus(port: str, spec: PortSpec, pace: Pace) -> Finding:
     """Ask on a CAN bus as the gateway would: neither dialect nor speed is a question there."""
     transport = await open_transport(spec)
     try:
-        identity = await ask_host(transport, dialect=spec.dialect)
+        identity = await ask_host(transport, pace, dialect=spec.dialect)
     finally:
         await transport.aclose()
     if not identity.facts:
@@ -124,46 +122,46 @@ async def _probe_bus(port: str, spec: PortSpec) -> Finding:
     return Finding(port=port, verdict=Verdict.ANSWERS, family=spec.dialect, firmware=identity.firmware, facts=identity.facts, spec=port)
 
 
-async def _find(transport: Transport, *, baud: int, is_intrusive: bool) -> tuple[Family | None, bytes]:
+async def _find(transport: Transport, pace: Pace, *, baud: int, is_intrusive: bool) -> tuple[Family | None, bytes]:
     """Return the family that answers, and all that was heard."""
-    family, heard = await _test(transport)
+    family, heard = await _test(transport, pace)
     if family is Family.CC253X_BOOT_LOADER or (family is None and baud == _BOOT_LOADER_BAUD):
         # Some boot loaders do not even answer their handshake; all know this byte, and nothing else does.
-        said = await exchange(transport, LEAVE_BOOT_LOADER, is_enough=lambda data: recognise(data) is not None, wait_s=_BOOT_S)
-        again, more = await _test(transport)
+        said = await exchange(transport, LEAVE_BOOT_LOADER, is_enough=lambda data: recognise(data) is not None, wait_s=pace.boot_s)
+        again, more = await _test(transport, pace)
         family, heard = again or family, heard + said + more
     if family is not None:
         return family, heard
     for test in LAST_TESTS:
-        said = await exchange(transport, test, is_enough=lambda data: recognise(data) is not None)
+        said = await exchange(transport, test, is_enough=lambda data: recognise(data) is not None, wait_s=pace.answer_s)
         heard += said
         if (family := recognise(said)) is not None:
             return family, heard
         if is_rom_acknowledgement(said):
-            return await _leave_rom(transport, is_intrusive=is_intrusive), heard
+            return await _leave_rom(transport, pace, is_intrusive=is_intrusive), heard
     return None, heard
 
 
-async def _leave_rom(transport: Transport, *, is_intrusive: bool) -> Family:
+async def _leave_rom(transport: Transport, pace: Pace, *, is_intrusive: bool) -> Family:
     if is_intrusive:
-        await exchange(transport, RESET_ROM_BOOT_LOADER, is_enough=lambda data: recognise(data) is not None, wait_s=_BOOT_S)
-        family, _ = await _test(transport)
+        await exchange(transport, RESET_ROM_BOOT_LOADER, is_enough=lambda data: recognise(data) is not None, wait_s=pace.boot_s)
+        family, _ = await _test(transport, pace)
         if family is not None:
             return family
     return Family.CC26X2_BOOT_LOADER
 
 
-async def _test(transport: Transport) -> tuple[Family | None, bytes]:
-    heard = await exchange(transport, TEST_FRAMES, is_enough=lambda data: recognise(data) is not None)
+async def _test(transport: Transport, pace: Pace) -> tuple[Family | None, bytes]:
+    heard = await exchange(transport, TEST_FRAMES, is_enough=lambda data: recognise(data) is not None, wait_s=pace.answer_s)
     return recognise(heard), heard
 
 
-async def _tell(transport: Transport, family: Family, *, port: str, base: str, baud: int | None) -> Finding:
+async def _tell(transport: Transport, family: Family, pace: Pace, *, port: str, base: str, baud: int | None) -> Finding:
     if family in _STUCK:
         return Finding(port=port, verdict=Verdict.BOOT_LOADER, family=family.value, baud=baud, advice=_STUCK[family])
     if family is Family.EZSP:
         return Finding(port=port, verdict=Verdict.UNSUPPORTED, family=family.value, baud=baud, advice=findings.EZSP_UNSUPPORTED)
-    identity = await _ASK[family](transport)
+    identity = await _ASK[family](transport, pace)
     return Finding(
         port=port,
         verdict=Verdict.ANSWERS,
@@ -176,13 +174,13 @@ async def _tell(transport: Transport, family: Family, *, port: str, base: str, b
     )
 
 
-async def _toggle_lines(transport: Transport) -> None:
+async def _toggle_lines(transport: Transport, pace: Pace) -> None:
     if isinstance(transport, SerialTransport):
         for dtr, rts in _LINES:
             if not transport.set_lines(dtr=dtr, rts=rts):
                 return
             await asyncio.sleep(_LINES_S)
-        await exchange(transport, b"", is_enough=lambda _: False, wait_s=ANSWER_S)
+        await exchange(transport, b"", is_enough=lambda _: False, wait_s=pace.answer_s)
 
 
 def _silent(port: str, heard: bytes) -> Finding:

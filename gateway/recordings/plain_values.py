@@ -1,7 +1,7 @@
 """Messages and envelopes as plain values, as JSON has them: names for enumerations, hexadecimal for bytes."""
 
 from dataclasses import fields, is_dataclass
-from enum import Enum
+from enum import Enum, Flag
 
 import msgspec
 
@@ -17,6 +17,8 @@ def fields_of(value: object) -> dict[str, object]:
 
 def plain(value: object) -> object:
     """Return a value as JSON has it."""
+    if isinstance(value, Flag):
+        return [one.name.lower() if one.name else one.value for one in value]
     if isinstance(value, Enum):
         return value.name.lower()
     if isinstance(value, bytes):

@@ -6,19 +6,29 @@ from importlib.resources import files
 
 from firmware_protocol.envelope import RadioStatus
 from firmware_protocol.layouts import DOWNLINK_HEADER, DOWNLINK_LAYOUTS, ENVELOPE_LAYOUTS, UPLINK_HEADER, UPLINK_LAYOUTS, Field, Layout
-from firmware_protocol.messages import MAX_RADIO_PAYLOAD, Action, StimulationResult, WireCause, WireMode
+from firmware_protocol.messages import (
+    MAX_RADIO_PAYLOAD,
+    Action,
+    ConfigurationResult,
+    Level,
+    StimulationResult,
+    Waveform,
+    WireCause,
+    WireMode,
+)
 from gateway.recordings.capture import PROFILE
 from gateway.recordings.native_line import KINDS
 
-_NAMES: dict[tuple[str, str], type[IntEnum]] = {
-    ("Status", "mode"): WireMode,
-    ("Status", "cause"): WireCause,
+_NAMES: dict[str, type[IntEnum]] = {"mode": WireMode, "cause": WireCause, "action": Action, "level": Level, "waveform": Waveform}
+"""Fields whose values have names, in whatever message."""
+
+_MORE_NAMES: dict[tuple[str, str], type[IntEnum]] = {
     ("StimulateReply", "result"): StimulationResult,
-    ("StimulateReply", "mode"): WireMode,
-    ("Stimulate", "action"): Action,
+    ("ConfigurationReport", "result"): ConfigurationResult,
+    ("CoordinatorConfigured", "result"): ConfigurationResult,
     ("RadioConfirm", "status"): RadioStatus,
 }
-"""Fields whose values have names."""
+"""Fields whose values have names in one message."""
 
 _LINK_HEADER = (Field(name="kind", code="B"), Field(name="session", code="H"), Field(name="link_sequence", code="B"))  # §3.1
 
@@ -77,7 +87,7 @@ def _layout(layout: Layout, *, is_uplink: bool) -> str:
 def _fields(layout: str, fields: tuple[Field, ...]) -> str:
     parts = []
     for one in fields:
-        names = _NAMES.get((layout, one.name))
+        names = _MORE_NAMES.get((layout, one.name)) or _NAMES.get(one.name)
         named = f", names = {_names({value.value: value.name.lower() for value in names})}" if names else ""
         parts.append(f"{{ name = {_quoted(one.name)}, code = {_quoted(one.code)}, unit = {_quoted(one.unit)}{named} }}")
     return f"{{ {', '.join(parts)} }}"
