@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def check_alone(options: argparse.Namespace) -> int:
     """Print the configuration without a command, or say that a command is missing."""
     if not options.check_config:
-        raise ConfigurationError(["no command: give one, such as run or probe; biobot-gateway --help lists them"])
+        raise ConfigurationError(["no command: give run, list-ports, probe or another; biobot-gateway --help lists all"])
     config = load_gateway_config(toml_path=options.config, environment=os.environ, flags={})
     print(json.dumps(msgspec.to_builtins(config), indent=2))
     return DONE

@@ -1,7 +1,7 @@
 """Records of a line as packets for Wireshark: what went over the air, and the frames on the line that carried it.
 
-The dongle does not show the radio frames themselves, so each radio payload is put into a ZigBee frame as it may have been: addresses, PAN
-and channel are those that the dongle told, counters, profile and cluster are made up, and there is neither encryption nor a checksum.
+The dongle does not show the radio frames themselves, so each radio payload is put into an IEEE 802.15.4 data frame: addresses, PAN and
+channel are those that the dongle told, sequence numbers are made up, and there are neither ZigBee's own headers nor a checksum.
 """
 
 import struct
@@ -13,9 +13,9 @@ from gateway.recordings.pcapng import LinkType, PcapngWriter
 from gateway.transports.recording import LineRecord, RecordKind
 
 SECTION_COMMENT = (
-    "From a recording of the line between a base station and a coordinator dongle. The IEEE 802.15.4 and ZigBee headers are synthesized "
-    "around the radio payloads that the dongle handed over: addresses are the dongle's, PAN and channel are as it told them (0xffff and "
-    "none until then), counters, endpoints, profile and cluster are made up, and 0x0000 stands for the coordinator."
+    "From a recording of the line between a base station and a coordinator dongle. The IEEE 802.15.4 headers are synthesized around the "
+    "radio payloads that the dongle handed over: addresses are the dongle's, PAN and channel are as it told them (0xffff and none until "
+    "then), sequence numbers are made up, 0x0000 stands for the coordinator, and one byte, 0xf8, stands where ZigBee's own headers were."
 )
 
 _BYTES = (RecordKind.BYTES_IN, RecordKind.BYTES_OUT)
@@ -30,12 +30,9 @@ _UNKNOWN_PAN = 0xFFFF
 _DATA_FRAME = 0x8841
 _WANTS_ACKNOWLEDGEMENT = 0x0020
 
-# ZigBee specification 05-3474-21, 3.3.1 and 2.2.5: data of protocol version 2, no security; its profile is only ours in captures.
-_NETWORK_DATA, _RADIUS = 0x0008, 30
-_APPLICATION_UNICAST, _APPLICATION_BROADCAST = 0x00, 0x08
-PROFILE = 0xC10B
-"""Profile, of the manufacturer-specific range, that stands in captures before every biobot message; the Wireshark dissector knows it."""
-_ENDPOINT, _CLUSTER = 1, 0xFC0B
+PREFIX = b"\xf8"
+"""Stands before every radio payload in captures, where a ZigBee network header would be: Wireshark, which guesses what a data frame carries,
+takes this for none of the protocols it knows (it would be ZigBee of version 14), and the dissector of biobot messages looks for it."""
 
 # Fields of the TAP header (github.com/jkcko/ieee802.15.4-tap).
 _NO_CHECKSUM, _RSS, _CHANNEL, _LQI = 0, 1, 3, 10
@@ -121,15 +118,11 @@ class Capture:
         return struct.pack("<BBH", 0, 0, 4 + len(fields)) + fields
 
     def _radio_frame(self, payload: RadioPayload, *, is_outgoing: bool) -> bytes:
-        self._sequence = number = (self._sequence + 1) % 256
+        self._sequence = (self._sequence + 1) % 256
         source, destination = (_COORDINATOR, payload.address) if is_outgoing else (payload.address, _COORDINATOR)
-        is_broadcast = destination == _BROADCAST
-        control = _DATA_FRAME if is_broadcast else _DATA_FRAME | _WANTS_ACKNOWLEDGEMENT
+        control = _DATA_FRAME if destination == _BROADCAST else _DATA_FRAME | _WANTS_ACKNOWLEDGEMENT
         pan_id = _UNKNOWN_PAN if self._network is None else self._network.pan_id
-        mac = struct.pack("<HBHHH", control, number, pan_id, destination, source)
-        network = struct.pack("<HHHBB", _NETWORK_DATA, destination, source, _RADIUS, number)
-        delivery = _APPLICATION_BROADCAST if is_broadcast else _APPLICATION_UNICAST
-        return mac + network + struct.pack("<BBHHBB", delivery, _ENDPOINT, _CLUSTER, PROFILE, _ENDPOINT, number) + payload.data
+        return struct.pack("<HBHHH", control, self._sequence, pan_id, destination, source) + PREFIX + payload.data
 
 
 def _tap_field(kind: int, value: bytes) -> bytes:

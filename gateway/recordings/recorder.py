@@ -157,7 +157,7 @@ def record_to_directory(directory: Path, *, radio: str, port: str, dialect: str,
     except OSError as error:
         raise RecordingError(path=str(directory), reason=f"cannot be made: {error.strerror}") from error
     stem = "".join(one if one.isalnum() else "-" for one in radio).strip("-")
-    start = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    start = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
     max_file_bytes = max_bytes // _KEPT_FILES
     n_files = 0
 
@@ -176,7 +176,7 @@ def record_to_directory(directory: Path, *, radio: str, port: str, dialect: str,
 
 def _remove_oldest(directory: Path, stem: str, *, room_for: int, max_bytes: int) -> None:
     """Remove the oldest files of a radio until one more fits; the names sort by age."""
-    files = sorted(directory.glob(f"{stem}-????????T??????Z-*{SUFFIX}"))
+    files = sorted(directory.glob(f"{stem}-????????T????????????Z-*{SUFFIX}"))
     total = sum(file.stat().st_size for file in files)
     for file in files:
         if total + room_for <= max_bytes:

@@ -149,7 +149,7 @@ def _is_cut_short(buffer: bytes, at: int) -> bool:
         return False
     if len(buffer) - at < _RECORD.size:
         return True
-    size: int = _RECORD.unpack_from(buffer, at)[4]
+    size: int = _RECORD.unpack_from(buffer, at)[3]
     return at + _OVERHEAD + size > len(buffer)
 
 

@@ -159,7 +159,13 @@ function message.dissector(tvb, pinfo, tree)
   dissect_message(tvb, pinfo, tree)
 end
 
-DissectorTable.get("zbee.profile"):add(PROFILE, message)
+message:register_heuristic("wpan", function(tvb, pinfo, tree)
+  if tvb:len() < 7 or tvb(0, 1):uint() ~= PREFIX then return false end
+  local payload = tvb(1):tvb()
+  if not is_message(payload) then return false end
+  dissect_message(payload, pinfo, tree)
+  return true
+end)
 
 -- Undoes consistent overhead byte stuffing; returns the bytes in hexadecimal, or nil.
 local function cobs_decode(range)

@@ -16,7 +16,7 @@ from firmware_protocol.messages import (
     WireCause,
     WireMode,
 )
-from gateway.recordings.capture import PROFILE
+from gateway.recordings.capture import PREFIX
 from gateway.recordings.native_line import KINDS
 
 _NAMES: dict[str, type[IntEnum]] = {"mode": WireMode, "cause": WireCause, "action": Action, "level": Level, "waveform": Waveform}
@@ -53,7 +53,7 @@ def make_lua_dissector() -> str:
     return "\n".join(
         [
             f"-- Made by biobot-gateway {version('biobot-gateway')}: biobot-gateway pcap --dissector FILE",
-            f"local PROFILE = {PROFILE}",
+            f"local PREFIX = {PREFIX[0]}",
             f"local MAX_RADIO_PAYLOAD = {MAX_RADIO_PAYLOAD}",
             f"local LINK_KINDS = {_names(KINDS)}",
             f"local LINK_HEADER = {_fields('link', _LINK_HEADER)}",

@@ -1,0 +1,155 @@
+"""Lines heard live and once more: the same bytes say the same, and listening takes nothing from the gateway that comes later."""
+
+import asyncio
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.dialects.choice import DIALECTS
+from gateway.recordings.dialects import make_line_dissector
+from gateway.recordings.line_offer import parse_offer
+from gateway.recordings.listening import Listening, listen
+from gateway.recordings.printing import LinePrinter, as_json, as_text
+from gateway.recordings.recorder import record_to_file
+from gateway.recordings.replaying import offer_recording, open_recording
+from gateway.transports.recording import LineRecord, RecordKind
+from gateway.transports.spec import open_transport, parse_port_spec
+from simulator.dongles.choice import DIALECTS as VIRTUAL
+from simulator.dongles.interface import Dongle
+from tests.gateway.virtual_dongles import dongle_on_tcp, hand_over, some_payloads
+
+_ROOT = Path(__file__).parents[2]
+_BOTH = [dialect for dialect in DIALECTS if dialect in VIRTUAL and "can" not in dialect]
+
+
+def with_payloads(n: int) -> Callable[[Dongle], None]:
+    def prepare(dongle: Dongle) -> None:
+        for payload in some_payloads(n):
+            assert hand_over(dongle, payload)
+
+    return prepare
+
+
+async def gateway_command(*arguments: str, cwd: Path) -> tuple[int, str, str]:
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "gateway",
+        *arguments,
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(_ROOT)},
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    out, err = await process.communicate()
+    assert process.returncode is not None
+    return process.returncode, out.decode(), err.decode()
+
+
+@pytest.mark.parametrize("dialect", _BOTH)
+def test_a_replay_prints_line_for_line_what_sniff_printed_while_it_was_recorded(dialect: str, tmp_path: Path) -> None:
+    async def run() -> tuple[str, str, str]:
+        async with dongle_on_tcp(dialect, prepare=with_payloads(5)) as (dongle, spec):
+            sniffing = asyncio.ensure_future(
+                gateway_command("sniff", "--port", spec, "--json", "--record", "x.biorec", "--duration-s", "1.2", cwd=tmp_path)
+            )
+            while not dongle.is_open and not sniffing.done():
+                await asyncio.sleep(0.01)
+            for payload in some_payloads(7)[5:]:
+                hand_over(dongle, payload)
+            status, live, err = await sniffing
+            assert status == 0, err
+        again, text = await asyncio.gather(
+            gateway_command("replay", "x.biorec", "--json", cwd=tmp_path), gateway_command("replay", "x.biorec", cwd=tmp_path)
+        )
+        return live, again[1], text[1]
+
+    live, again, text = asyncio.run(run())
+
+    assert again == live
+    events = [json.loads(line) for line in live.splitlines()]
+    assert {event.get("message") for event in events} >= {"Status", "EncounterBatch"}
+    assert {event["node"] for event in events if "node" in event} == {7}
+    assert len(text.splitlines()) == len(events)
+
+
+@pytest.mark.parametrize("dialect", _BOTH)
+def test_what_was_sniffed_without_confirming_is_there_for_the_gateway(dialect: str) -> None:
+    """A dialect without confirmations hands a payload over once: there the backpack repeats it, for nothing acknowledges it."""
+    heard: list[list[str]] = []
+
+    async def run() -> None:
+        async with dongle_on_tcp(dialect, prepare=with_payloads(4)) as (_, spec):
+            for _ in range(2):
+                printer = LinePrinter(make_line_dissector(dialect, path="x"))
+                events: list[str] = []
+
+                def take(record: LineRecord, printer: LinePrinter = printer, events: list[str] = events) -> None:
+                    events += [str(event["sequence"]) for event in printer.take(record) if "message" in event and "node" in event]
+
+                await listen(parse_port_spec(spec), how=Listening(duration_s=0.7), take=take)
+                heard.append(events)
+
+    asyncio.run(run())
+
+    if dialect == "native":
+        assert set(heard[0]) == set(heard[1]) == {"0", "1", "2", "3"}
+    else:
+        assert set(heard[0]) == {"0", "1", "2", "3"}
+
+
+def test_a_passive_listener_writes_nothing() -> None:
+    async def run() -> list[LineRecord]:
+        records: list[LineRecord] = []
+        async with dongle_on_tcp("native", prepare=with_payloads(1)) as (_, spec):
+            await listen(parse_port_spec(spec), how=Listening(is_passive=True, duration_s=0.2), take=records.append)
+        return records
+
+    kinds = {record.kind for record in asyncio.run(run())}
+
+    assert RecordKind.BYTES_OUT not in kinds
+    assert {RecordKind.OPENED, RecordKind.CLOSED} <= kinds
+
+
+@pytest.mark.parametrize("line", ["tcp:127.0.0.1:0", "pty:{}/line"])
+def test_an_offered_recording_is_the_dongles_bytes_and_no_other(line: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.biorec"
+    recorder = record_to_file(path, port="tcp:a:1", dialect="native")
+    chunks = [bytes([one]) * (one + 1) for one in range(60)]
+    for one, chunk in enumerate(chunks):
+        recorder.take(LineRecord(kind=RecordKind.BYTES_IN, monotonic_ns=one * 1_000_000, wall_ns=0, data=chunk))
+        recorder.take(LineRecord(kind=RecordKind.BYTES_OUT, monotonic_ns=one * 1_000_000, wall_ns=0, data=b"what went to the dongle"))
+    recorder.close()
+    wanted = b"".join(chunks)
+
+    async def run() -> tuple[bytes, int]:
+        address: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        with open_recording(path) as recording:
+            offering = asyncio.ensure_future(
+                offer_recording(recording, parse_offer(line.format(tmp_path)), speed=1.0, on_ready=address.set_result)
+            )
+            transport = await open_transport(parse_port_spec(await address))
+            await transport.write(b"is dropped")
+            heard = b""
+            while len(heard) < len(wanted):
+                heard += await transport.read()
+            await transport.aclose()
+            return heard, await offering
+
+    assert asyncio.run(run()) == (wanted, len(wanted))
+
+
+@given(st.sampled_from(_BOTH), st.lists(st.tuples(st.booleans(), st.binary(max_size=60)), max_size=8))
+def test_no_bytes_raise_in_the_decoder_or_the_printers(dialect: str, chunks: list[tuple[bool, bytes]]) -> None:
+    printer = LinePrinter(make_line_dissector(dialect, path="x"))
+    for is_outgoing, chunk in chunks:
+        kind = RecordKind.BYTES_OUT if is_outgoing else RecordKind.BYTES_IN
+        for event in printer.take(LineRecord(kind=kind, monotonic_ns=0, wall_ns=1 << 63, data=chunk)):
+            assert json.loads(as_json(event)) == event
+            assert "\n" not in as_text(event)
