@@ -1,7 +1,7 @@
 #!/bin/sh
-# Install what some tests want from Debian: a browser and a font, a compiler for ARM and an emulator. Without them those tests skip and say so.
+# Install what some tests want from Debian: a browser and a font, Wireshark's tshark, a compiler for ARM and an emulator. Without them those tests skip and say so.
 set -eu
-packages="chromium fonts-dejavu-core"
+packages="chromium fonts-dejavu-core tshark"
 [ "$(uname -m)" != x86_64 ] || packages="$packages gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user"
 missing=
 for package in $packages; do

@@ -25,7 +25,10 @@ from simulator.serve_config import ServeConfig
 
 COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "biobot-sim": ("simulator", ("run", "resume", "serve", "replay", "render", "scenarios")),
-    "biobot-gateway": ("gateway", ("run", "list-ports", "command", "status", "configure")),
+    "biobot-gateway": (
+        "gateway",
+        ("run", "list-ports", "probe", "check-radio", "command", "status", "configure", "sniff", "record", "replay", "pcap"),
+    ),
     "biobot-mapper": ("mapper", ("run", "serve", "feasibility", "warm-up")),
 }
 CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {

@@ -63,6 +63,7 @@ XBEE_TRANSPARENT = (
     "an XBee in transparent mode, as it comes from the factory: this gateway's xbee dialect switches it to API mode when it opens it; "
     "for good, set AP to 2 and write it with WR"
 )
+ECHO = "it sends back what it is sent: a loop-back plug, a modem in command mode, or an adapter with nothing at its other end"
 NOBODY = (
     "nothing answered at any speed: is it plugged in and powered, is it a coordinator, does another cable work? "
     "--intrusive also tries reset lines and the command mode of an XBee"

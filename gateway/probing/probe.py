@@ -185,7 +185,9 @@ async def _toggle_lines(transport: Transport, pace: Pace) -> None:
 
 def _silent(port: str, heard: bytes) -> Finding:
     advice = findings.NOBODY
-    if heard:
+    if TEST_FRAMES in heard:
+        advice = findings.ECHO
+    elif heard:
         beginning = heard[:_SHOWN].hex(" ")
         advice = f"{len(heard)} bytes came that no dialect explains, beginning {beginning}: another kind of device, or another speed"
     return Finding(port=port, verdict=Verdict.SILENT, advice=advice)

@@ -75,7 +75,7 @@ def recognise(data: bytes) -> Family | None:
     answers = mt_bodies(data)
     if any(body[0] == _MT_BOOT and body[1] & _MT_BOOT_ANSWER for body in answers):
         return Family.CC253X_BOOT_LOADER
-    if any(body[0] >> 5 in {2, 3} for body in answers):  # reports and answers
+    if any(body[0] >> 5 in {2, 3} and body[0] != _MT_BOOT for body in answers):  # reports and answers
         return Family.ZNP
     if _is_ash(data):
         return Family.EZSP

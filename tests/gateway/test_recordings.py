@@ -53,9 +53,7 @@ def test_a_torn_tail_costs_the_last_record_and_is_told(written: list[LineRecord]
 
 
 @given(st.lists(records, min_size=2, max_size=6), st.data())
-def test_damage_costs_the_records_it_touches_alone_and_every_byte_is_accounted_for(
-    written: list[LineRecord], data: st.DataObject
-) -> None:
+def test_damage_costs_the_records_it_touches_alone_and_every_byte_is_accounted_for(written: list[LineRecord], data: st.DataObject) -> None:
     parts = list(map(encode_record, written))
     hit = data.draw(st.integers(0, len(parts) - 1))
     at = data.draw(st.integers(0, len(parts[hit]) - 1))

@@ -23,7 +23,9 @@ def _one_of_each(name: str) -> list[bytes]:
 def _a_batch() -> bytes:
     header = UplinkHeader(node=NodeId(3), boot=BootId(9), sequence=17, sent_ms=Milliseconds(5000))
     entries = tuple(
-        EncounterEntry(peer=NodeId(peer), start_ms=Milliseconds(100), duration_ms=Milliseconds(ms), rssi_dbm=RssiDbm(rssi), is_ongoing=False)
+        EncounterEntry(
+            peer=NodeId(peer), start_ms=Milliseconds(100), duration_ms=Milliseconds(ms), rssi_dbm=RssiDbm(rssi), is_ongoing=False
+        )
         for peer, ms, rssi in ((4, 70_000, -60), (5, 900, -61))
     )
     return encode_uplink(header, EncounterBatch(entries=entries))

@@ -1,0 +1,145 @@
+"""The acceptance check: passes what works, fails what does not, and loses nothing for the gateway that comes later."""
+
+import asyncio
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.dialects.choice import DIALECTS
+from firmware_protocol.envelope import RadioStatus
+from firmware_protocol.units import NodeId
+from gateway.acceptance.check_radio import check_radio
+from gateway.acceptance.plan import Patience, Plan
+from gateway.acceptance.results import Outcome, Report
+from gateway.transports.spec import parse_port_spec
+from simulator.dongles.choice import DIALECTS as VIRTUAL
+from tests.gateway.fake_radio import FakeBackpack, a_dongle, on_pty
+from tests.gateway.virtual_dongles import dongle_on_tcp
+
+_ROOT = Path(__file__).parents[2]
+_BOTH = [dialect for dialect in DIALECTS if dialect in VIRTUAL and "can" not in dialect]
+
+QUICK = Patience(
+    open_s=3.0, radio_s=3.0, reply_s=3.0, first_payload_s=5.0, silence_s=2.6, broadcast_s=0.5, throughput_s=0.2, n_round_trips=4
+)
+
+
+def check(port: str, plan: Plan) -> Report:
+    return asyncio.run(check_radio(parse_port_spec(port), plan, on_result=lambda _: None))
+
+
+def outcomes(report: Report) -> dict[str, Outcome]:
+    return {one.name: one.outcome for one in report.results}
+
+
+@contextmanager
+def a_swarm(tmp_path: Path, dialect: str) -> Iterator[str]:
+    """Serve a small swarm as a user would; yields the port to open."""
+    ready = tmp_path / "ready"
+    link = f"pty:{tmp_path}/dongle?dialect={dialect}"
+    arguments = ["--scenario", "two-obstacles", "--seed", "3", "--biobots", "4", "--link", link, "--ready-file", str(ready)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "simulator", "serve", *arguments], cwd=_ROOT, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+    ) as process:
+        try:
+            until_s = time.monotonic() + 60
+            while not ready.exists() and process.poll() is None and time.monotonic() < until_s:
+                time.sleep(0.02)
+            assert ready.exists()
+            yield f"serial:{tmp_path}/dongle?dialect={dialect}"
+        finally:
+            process.terminate()
+
+
+@pytest.mark.e2e
+@pytest.mark.parametrize("dialect", _BOTH)
+def test_the_simulators_dongle_passes_in_every_dialect(dialect: str, tmp_path: Path) -> None:
+    with a_swarm(tmp_path, dialect) as port:
+        report = check(port, Plan(node=NodeId(2), stimulates=True, soak_s=0.1, patience=QUICK))
+
+    assert report.is_passed, [one for one in report.results if one.outcome is not Outcome.PASSED]
+    assert all(one.outcome is Outcome.PASSED for one in report.results)
+
+
+@pytest.fixture(scope="module")
+def careless(tmp_path_factory: pytest.TempPathFactory) -> tuple[Report, FakeBackpack]:
+    """A check of a dongle whose radio calls every payload sent and knows no broadcast, and the biobot behind it, which had things to tell."""
+    dongle = a_dongle(4)
+    backpack = dongle.backpacks[NodeId(4)]
+    for _ in range(3):
+        backpack.say_encounter(NodeId(5), ago_ms=900, duration_ms=200)
+    backpack.say_status()
+    path = tmp_path_factory.mktemp("careless") / "dongle"
+
+    async def run() -> Report:
+        async with on_pty(dongle, path):
+            return await check_radio(parse_port_spec(f"serial:{path}"), Plan(patience=QUICK), on_result=lambda _: None)
+
+    return asyncio.run(run()), backpack
+
+
+def test_a_dongle_that_calls_everything_sent_fails_just_there(careless: tuple[Report, FakeBackpack]) -> None:
+    report, _ = careless
+    failing = {name for name, outcome in outcomes(report).items() if outcome is Outcome.FAILED}
+
+    assert failing == {"tells that an address is nobody's", "broadcasts"}
+    assert not report.is_passed
+
+
+def test_a_check_acknowledges_nothing_but_the_hellos_it_asked_for(careless: tuple[Report, FakeBackpack]) -> None:
+    _, backpack = careless
+
+    assert [type(message).__name__ for message in backpack._outbox.values()] == ["EncounterBatch"] * 3 + ["Status"]
+    assert backpack.hellos >= 2
+    assert not backpack.heard, "nobody was stimulated"
+
+
+def test_without_a_biobot_what_needs_one_is_skipped_and_nothing_passes_for_it() -> None:
+    async def run() -> Report:
+        async with dongle_on_tcp("native") as (_, spec):
+            patience = Patience(open_s=2.0, radio_s=0.2, first_payload_s=0.2, broadcast_s=0.1)
+            return await check_radio(parse_port_spec(spec), Plan(patience=patience), on_result=lambda _: None)
+
+    report = asyncio.run(run())
+    found = outcomes(report)
+
+    assert found["opens and identifies itself"] is Outcome.PASSED
+    assert found["hears biobots"] is Outcome.FAILED
+    assert found["time sync round trip"] is Outcome.SKIPPED
+    assert not report.is_passed
+
+
+def test_a_biobot_whose_radio_hears_nothing_fails_where_it_should_answer(tmp_path: Path) -> None:
+    async def run() -> Report:
+        dongle = a_dongle(4)
+        dongle.radio_status = RadioStatus.NO_ACK
+        dongle.backpacks[NodeId(4)].say_status()
+        patience = Patience(open_s=2.0, radio_s=1.0, reply_s=0.2, first_payload_s=5.0, throughput_s=0.1, broadcast_s=0.1, n_round_trips=2)
+        async with on_pty(dongle, tmp_path / "dongle"):
+            spec = parse_port_spec(f"serial:{tmp_path}/dongle")
+            return await check_radio(spec, Plan(patience=patience), on_result=lambda _: None)
+
+    found = outcomes(asyncio.run(run()))
+
+    assert found["hears biobots"] is Outcome.PASSED
+    assert found["tells that an address is nobody's"] is Outcome.PASSED
+    failing = ("time sync round trip", "hello request answered", "carries payloads down", "survives garbage on the line")
+    assert {found[name] for name in failing} == {Outcome.FAILED}
+
+
+def test_the_command_tells_each_verdict_and_its_exit_status(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "gateway", "check-radio", str(tmp_path / "nothing")]
+    failed = subprocess.run([*command, "--json"], cwd=_ROOT, capture_output=True, text=True, check=False, timeout=60)
+    usage = subprocess.run([*command, "--stimulate"], cwd=_ROOT, capture_output=True, text=True, check=False, timeout=60)
+
+    assert failed.returncode == 1
+    report = json.loads(failed.stdout)
+    assert (report["is_passed"], report["results"][0]["outcome"]) == (False, "failed")
+    assert "list-ports" in report["results"][0]["detail"]
+    assert (usage.returncode, "--node" in usage.stderr) == (2, True)
