@@ -7,7 +7,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError, ProtocolError
-from gateway.commands import asking, check_radio, lines, pcap, ports, run
+from gateway.commands import asking, check_radio, configure, lines, pcap, ports, run
 from gateway.commands.outcome import FAILED, USAGE, complain
 from gateway.errors import GatewayError, TransportSpecError
 
@@ -24,6 +24,11 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
         "print what a running gateway says of itself; exit status 1 where none does",
         asking.add_bus_arguments,
         asking.ask_status,
+    ),
+    "configure": (
+        "set the network of a native or CAN coordinator whose port no gateway holds",
+        configure.add_arguments,
+        configure.configure_coordinator,
     ),
     "sniff": ("print what passes on a port, frame by frame; takes nothing from the gateway", lines.add_sniff_arguments, lines.sniff),
     "record": ("record what passes on a port", lines.add_record_arguments, lines.record),
