@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--port",
         action="append",
         metavar="SPEC",
-        help="a radio: serial:/dev/ttyACM0?baud=115200&dialect=xbee, tcp:HOST:PORT, can:slcan:/dev/ttyACM1?unit=1; repeatable",
+        help="a radio: serial:/dev/ttyACM0?baud=115200&dialect=xbee, tcp:HOST:PORT or can:slcan:/dev/ttyACM1?unit=1; repeatable",
     )
     parser.add_argument("--site", help="name of the site in every key (default: local)")
     parser.add_argument("--name", help="name of this gateway in every key (default: gateway1)")
