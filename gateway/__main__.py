@@ -28,7 +28,7 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "configure": (
         "set the network of a native or CAN coordinator whose port no gateway holds",
         configure.add_arguments,
-        configure.configure_coordinator,
+        configure.configure,
     ),
     "sniff": ("print what passes on a port, frame by frame; takes nothing from the gateway", lines.add_sniff_arguments, lines.sniff),
     "record": ("record what passes on a port", lines.add_record_arguments, lines.record),
