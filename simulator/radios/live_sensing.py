@@ -129,7 +129,10 @@ class LiveSensing:
         self._dues = [due for due in self._dues if due[1] != node]
         heapq.heapify(self._dues)
         if len(self._dues) < n_planned:  # none is planned any more once beacons are silenced
-            self._plan_beacon(node, self._schedules[node].number_at(self._clocks[node].read_ms(now_ns)))
+            now_ms = self._clocks[node].read_ms(now_ns)
+            number = self._schedules[node].number_at(now_ms)
+            is_begun = number > 0 and self._schedules[node].due_ms(node, number - 1) >= now_ms
+            self._plan_beacon(node, number - 1 if is_begun else number)
 
     def advance(self, until_ns: int, *, places: Floats) -> tuple[list[Heard], list[Carried]]:
         """Move to ``until_ns``, where everybody is then at ``places`` (shape (n, 2) [m]); return what was heard, in order of time."""

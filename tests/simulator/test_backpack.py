@@ -6,16 +6,25 @@ from collections.abc import Iterable
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from firmware_protocol.message_codec import decode_uplink, encode_downlink
 from firmware_protocol.messages import (
     MAX_ENCOUNTER_MS,
     Acknowledge,
     Action,
+    Capability,
+    ConfigurationReport,
+    ConfigurationRequest,
+    ConfigurationResult,
+    Configure,
+    Diagnostic,
     Downlink,
     EncounterBatch,
+    EncounterBatchWithPaths,
     Hello,
     HelloRequest,
+    Limits,
     MessageFault,
     Neighbour,
     Neighbours,
@@ -25,15 +34,17 @@ from firmware_protocol.messages import (
     TimeSyncReply,
     TimeSyncRequest,
     Uplink,
+    Waveform,
     WireCause,
     WireMode,
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
-from simulator.backpacks.backpack import Backpack, Effect, Transmission
+from simulator.backpacks.backpack import Backpack, BeaconsChanged, Effect, Transmission
 from simulator.backpacks.backpack_config import BackpackConfig
 from simulator.backpacks.outbox import Outbox, OutboxConfig
 from simulator.backpacks.stimulator import Actuation
 from simulator.errors import ParameterError
+from simulator.radios.proximity import ProximityConfig
 from tests.simulator.base_station import Ledger, a_command
 
 NODE, BOOT = NodeId(7), BootId(3)
@@ -136,6 +147,8 @@ def test_repetitions_come_ever_later_each_with_a_fresh_time_and_the_same_content
             assert decoded[0].sent_ms == now_ms
         now_ms = backpack.next_due_ms() or 0
     waits = [later[0] - earlier[0] for earlier, later in itertools.pairwise(copies)]
+    copies = [copy for copy in copies if copy[1] == 0]
+    waits = [later[0] - earlier[0] for earlier, later in itertools.pairwise(copies)]
     assert len({(sequence, message) for _, sequence, message in copies}) == 1
     for index, wait_ms in enumerate(waits):
         nominal_ms = min(1_000 * 2**index, 30_000)
@@ -186,11 +199,11 @@ def test_hello_and_status_and_neighbours_come_at_boot_and_hello_again_when_asked
     backpack, ledger = a_backpack(neighbours=23), Ledger()
     run_until_settled(backpack, ledger, Air([]), now_ms=0, before_ms=1_500)
     kinds = [type(message) for _, message in sorted(ledger.messages.items())]
-    assert kinds == [Hello, Status, Neighbours, Neighbours, Neighbours]
+    assert kinds == [Hello, Limits, Diagnostic, Status, Neighbours, Neighbours, Neighbours]
     parts = [message for message in ledger.messages.values() if isinstance(message, Neighbours)]
     assert [(part.part, part.n_parts, len(part.neighbours)) for part in parts] == [(0, 3, 10), (1, 3, 10), (2, 3, 3)]
     hear(backpack, HelloRequest(), now_ms=2_000)
-    assert [type(message) for message in said(backpack.poll(now_ms=2_000))] == [Hello]
+    assert [type(message) for message in said(backpack.poll(now_ms=2_000))] == [Hello, Limits]
 
 
 def test_an_encounter_that_lasts_is_reported_while_it_goes_on_and_whole_in_the_end() -> None:
@@ -305,15 +318,121 @@ def test_a_stop_overtakes_a_running_train_and_whatever_waits_behind_it() -> None
 
 @pytest.mark.parametrize(
     "command",
-    [a_command(1, Action.TURN_LEFT, duration_ms=0), a_command(1, Action.TURN_RIGHT, frequency_hz=151),
-     a_command(1, Action.START, frequency_hz=151), a_command(1, Action.START, frequency_hz=0),
-     a_command(1, Action.START, duration_ms=1_001)],
+    [a_command(1, Action.TURN_LEFT, duration_ms=0), a_command(1, Action.TURN_RIGHT, frequency_hz=101),
+     a_command(1, Action.START, frequency_hz=101), a_command(1, Action.START, frequency_hz=0)],
 )  # fmt: skip
-def test_turns_without_a_train_and_unfit_pulses_are_refused_as_bad_parameters(command: Downlink) -> None:
+def test_turns_without_a_train_and_pulses_that_do_not_fit_are_refused_as_bad_parameters(command: Downlink) -> None:
     backpack = a_backpack()
     assert actuations(hear(backpack, command, now_ms=0)) == []
     replies = [one for one in said(backpack.poll(now_ms=0)) if isinstance(one, StimulateReply)]
     assert [one.result for one in replies] == [StimulationResult.BAD_PARAMETER]
+
+
+def test_a_train_at_the_announced_limits_is_delivered_and_one_beyond_any_of_them_is_refused() -> None:
+    backpack = a_backpack(spread_ms=0)
+    limits = next(one for one in said(backpack.poll(now_ms=0)) if isinstance(one, Limits))
+    widest = replace(
+        a_command(1, Action.START, frequency_hz=50, duration_ms=limits.max_duration_ms),
+        amplitude_mv=limits.max_amplitude_mv,
+        pulse_width_us=limits.max_pulse_width_us,
+        channel=limits.channels.bit_length() - 1,
+        waveform=Waveform.ASYMMETRIC_BIPHASIC,
+    )
+    assert actuations(hear(backpack, widest, now_ms=0))[0].train == widest
+    beyond = (
+        {"frequency_hz": limits.max_frequency_hz + 1, "pulse_width_us": 100},
+        {"amplitude_mv": limits.max_amplitude_mv + 1},
+        {"pulse_width_us": limits.max_pulse_width_us + 1, "frequency_hz": 40},
+        {"duration_ms": limits.max_duration_ms + 1},
+        {"channel": limits.channels.bit_length()},
+        {"waveform": Waveform.MONOPHASIC},
+    )
+    for number, change in enumerate(beyond):
+        command = replace(widest, command=10 + number, **change)  # type: ignore[arg-type]  # each a field of Stimulate
+        assert actuations(hear(backpack, command, now_ms=5_000)) == []
+    (stop,) = actuations(hear(backpack, replace(widest, command=99, action=Action.STOP, channel=7), now_ms=5_000))
+    assert (stop.mode, stop.train) == (WireMode.S, None), "an unfit train does not keep a stop from stopping"
+    results = {one.command: one.result for one in said(backpack.poll(now_ms=5_000)) if isinstance(one, StimulateReply)}
+    assert {number: results[10 + number] for number in range(len(beyond))} == dict.fromkeys(range(6), StimulationResult.REFUSED_LIMIT)
+
+
+def reports(effects: Iterable[Effect]) -> list[ConfigurationReport]:
+    return [one for one in said(effects) if isinstance(one, ConfigurationReport)]
+
+
+def test_a_report_period_is_applied_and_told() -> None:
+    backpack = a_backpack(spread_ms=10**9)
+    hear(backpack, Configure(token=5, report_period_ms=4_000), now_ms=0)
+    (report,) = reports(backpack.poll(now_ms=0))
+    assert (report.token, report.result, report.report_period_ms, report.beacon_period_ms) == (5, ConfigurationResult.DONE, 4_000, 0)
+    backpack.begin_encounter(NodeId(9), start_ms=0, rssi_dbm=RssiDbm(-40))
+    backpack.end_encounter(NodeId(9), end_ms=10, now_ms=10)
+    assert not any(isinstance(one, EncounterBatch) for one in said(backpack.poll(now_ms=4_009)))
+    assert any(isinstance(one, EncounterBatch) for one in said(backpack.poll(now_ms=4_010)))
+
+
+@pytest.mark.parametrize("wanted", [{"beacon_period_ms": 500}, {"rssi_enter_dbm": -60}, {"rssi_exit_dbm": -60}, {"gap_tolerance_ms": 900}])
+def test_what_a_backpack_without_beacons_does_not_have_is_not_supported_and_nothing_changes(wanted: dict[str, int]) -> None:
+    backpack = a_backpack(spread_ms=10**9)
+    hear(backpack, Configure(token=1, report_period_ms=9, **wanted), now_ms=0)  # type: ignore[arg-type]  # each a field of Configure
+    (refused,) = reports(backpack.poll(now_ms=0))
+    hear(backpack, ConfigurationRequest(token=2), now_ms=0)
+    (told,) = reports(backpack.poll(now_ms=0))
+    assert (refused.result, refused.report_period_ms) == (ConfigurationResult.NOT_SUPPORTED, 1_000)
+    assert replace(told, token=1, result=ConfigurationResult.NOT_SUPPORTED) == refused
+
+
+def a_backpack_with_beacons() -> Backpack:
+    config = BackpackConfig(spread_ms=10**9, beacon_period_ms=1_000, proximity=ProximityConfig(enter_dbm=-50.0, exit_dbm=-60.0, gap=1_150))
+    return Backpack(node=NODE, boot=BOOT, eui64=1, seed=1, config=config, now_ms=0, sense_neighbours=list)
+
+
+def test_thresholds_gap_and_beacon_period_are_applied_and_a_hello_tells_the_new_period() -> None:
+    backpack = a_backpack_with_beacons()
+    wanted = Configure(token=1, beacon_period_ms=300, rssi_enter_dbm=RssiDbm(-70), rssi_exit_dbm=RssiDbm(-75), gap_tolerance_ms=400)
+    assert hear(backpack, wanted, now_ms=0) == [BeaconsChanged(period_ms=300, exit_dbm=-75.0)]
+    told = said(backpack.poll(now_ms=0))
+    (report,) = [one for one in told if isinstance(one, ConfigurationReport)]
+    assert (report.rssi_enter_dbm, report.rssi_exit_dbm, report.gap_tolerance_ms, report.beacon_period_ms) == (-70, -75, 400, 300)
+    assert [one.beacon_period_ms for one in told if isinstance(one, Hello)] == [300]
+    backpack.hear_beacon(NodeId(9), at_ms=0, rssi_dbm=-69.0, now_ms=0)
+    backpack.hear_beacon(NodeId(9), at_ms=350, rssi_dbm=-74.0, now_ms=350)
+    assert backpack.n_open == 1
+    backpack.sense_until(751, now_ms=751)
+    assert backpack.n_open == 0
+
+
+@pytest.mark.parametrize("wanted", [{"rssi_exit_dbm": -49}, {"rssi_enter_dbm": -61}, {"beacon_period_ms": 99}])
+def test_values_that_contradict_each_other_or_cannot_be_kept_are_bad_parameters_and_nothing_changes(wanted: dict[str, int]) -> None:
+    backpack = a_backpack_with_beacons()
+    hear(backpack, Configure(token=1, gap_tolerance_ms=7, **wanted), now_ms=0)  # type: ignore[arg-type]  # each a field of Configure
+    (report,) = reports(backpack.poll(now_ms=0))
+    assert (report.result, report.gap_tolerance_ms) == (ConfigurationResult.BAD_PARAMETER, 1_150)
+
+
+def test_a_broadcast_of_a_configuration_is_answered_after_a_random_wait() -> None:
+    backpack = a_backpack_with_beacons()
+    backpack.receive(encode_downlink(0, Configure(token=3, report_period_ms=50)), now_ms=0, is_broadcast=True)
+    assert reports(backpack.poll(now_ms=0)) == []
+    assert not backpack.is_settled
+    assert [one.token for one in reports(backpack.poll(now_ms=10**9))] == [3]
+
+
+def test_a_backpack_with_an_imu_tells_the_path_between_encounters_in_batches_of_three() -> None:
+    config = BackpackConfig(spread_ms=0)
+    backpack = Backpack(
+        node=NODE, boot=BOOT, eui64=1, seed=1, config=config, now_ms=0, sense_neighbours=list, read_path_mm=lambda at_ms: 40.0 * at_ms,
+    )  # fmt: skip
+    for index, start_ms in enumerate((10, 25, 25, 10_000)):
+        backpack.begin_encounter(NodeId(20 + index), start_ms=start_ms, rssi_dbm=RssiDbm(-40))
+    for index in range(4):
+        backpack.end_encounter(NodeId(20 + index), end_ms=10_001, now_ms=10_001)
+    told = said(backpack.poll(now_ms=20_000))
+    batches = [one for one in told if isinstance(one, EncounterBatchWithPaths)]
+    assert [len(batch.entries) for batch in batches] == [3, 1]
+    assert [entry.path_mm for batch in batches for entry in batch.entries] == [None, 600, 0, 65_534]
+    (hello,) = [one for one in told if isinstance(one, Hello)]
+    assert hello.capabilities == Capability.STIMULATION | Capability.IMU | Capability.CONFIGURE
 
 
 @pytest.mark.parametrize("action", [Action.TURN_LEFT, Action.TURN_RIGHT])

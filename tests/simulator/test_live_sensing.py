@@ -6,7 +6,15 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from firmware_protocol.messages import MAX_ENCOUNTER_MS, EncounterBatch, EncounterEntry, Hello
+from firmware_protocol.messages import (
+    MAX_ENCOUNTER_MS,
+    ConfigurationReport,
+    ConfigurationResult,
+    Configure,
+    EncounterBatch,
+    EncounterEntry,
+    Hello,
+)
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId, RssiDbm
 from simulator.backpacks.backpack import Backpack, Transmission
 from simulator.backpacks.backpack_config import BackpackConfig
@@ -197,6 +205,31 @@ def test_a_contact_longer_than_an_entry_can_say_is_reported_in_pieces_that_touch
     messages = [one.message for one in backpack.poll(now_ms=last_ms + 5_000) if isinstance(one, Transmission)]
     entries = [entry for message in messages if isinstance(message, EncounterBatch) for entry in message.entries]
     assert [(one.start_ms, one.duration_ms) for one in entries] == [(0, MAX_ENCOUNTER_MS), (MAX_ENCOUNTER_MS, last_ms - MAX_ENCOUNTER_MS)]
+
+
+def test_a_beacon_period_that_is_set_over_the_air_is_kept_and_announced_and_a_weaker_threshold_hears_more() -> None:
+    def n_sent(wanted: Configure | None) -> tuple[int, int]:
+        site = Site(boot=9)
+        site.run(2.0)
+        if wanted is not None:
+            for node in sorted(site.base.address):
+                site.base.send(site.base.address[node], wanted, now_ns=site.now_ns)
+        site.run(12.0)
+        beacons = site.swarm.air_counts
+        assert beacons is not None
+        told = [one for ledger in site.base.ledgers.values() for one in ledger.messages.values()]
+        assert all(one.result is ConfigurationResult.DONE for one in told if isinstance(one, ConfigurationReport))
+        assert sum(isinstance(one, ConfigurationReport) for one in told) == (0 if wanted is None else 20)
+        periods = {one.beacon_period_ms for one in told if isinstance(one, Hello)}
+        assert periods == ({500} if wanted is None else {500, wanted.beacon_period_ms or 500})
+        return beacons["sent"], site.swarm.reports.n_reports
+
+    plain_sent, plain_reports = n_sent(None)
+    slow_sent, _ = n_sent(Configure(token=1, beacon_period_ms=2_000, gap_tolerance_ms=2_300))
+    _, more_reports = n_sent(Configure(token=1, rssi_enter_dbm=RssiDbm(-90), rssi_exit_dbm=RssiDbm(-95)))
+    assert plain_sent == pytest.approx(20 * 24, rel=0.05)
+    assert slow_sent == pytest.approx(20 * (4 + 5), rel=0.1)
+    assert more_reports > plain_reports
 
 
 def test_a_beacon_period_that_hello_cannot_say_is_refused() -> None:
