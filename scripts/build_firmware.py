@@ -17,11 +17,12 @@ CORE = ("biobot_codec", "biobot_coordinator", "biobot_crc", "biobot_frame", "bio
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Port:
-    """What it takes to build a port: folders besides the core, the compiler, and flags for compiling and for linking.
+    """What it takes to build a port: modules and folders besides the core, the compiler, and flags for compiling and for linking.
 
     ``suffix`` is of the image. ``object_suffix`` is of an object file.
     """
 
+    modules: tuple[str, ...] = ()
     folders: tuple[str, ...]
     compiler: str
     flags: tuple[str, ...]
@@ -41,9 +42,10 @@ _SPARING = ("--opt-code-size", "--nogcse", "--noinvariant", "--noinduction")
 
 PORTS = {
     "mps2_an385": Port(
+        modules=("biobot_backpack",),
         folders=("bench", "ports/mps2_an385"),
         compiler="arm-none-eabi-gcc",
-        flags=(*_CORTEX_M3, *_FREESTANDING, *_WARNINGS),
+        flags=(*_CORTEX_M3, *_FREESTANDING, *_WARNINGS, "-DBB_BACKPACK_SLOTS=16u"),
         link_flags=(*_CORTEX_M3, "-nostdlib", "-Wl,--gc-sections", "-Wl,--fatal-warnings", "-T", _MPS2_MEMORY, "-lgcc"),
         suffix=".elf",
         object_suffix=".o",
@@ -90,7 +92,7 @@ def build(name: str, *, out: Path) -> Path:
 
 def _sources(port: Port) -> list[Path]:
     """Return the C files of a port; the one with main() comes first, as SDCC's linker wants it."""
-    found = [SOURCES / f"{name}.c" for name in CORE]
+    found = [SOURCES / f"{name}.c" for name in (*CORE, *port.modules)]
     for folder in port.folders:
         found += sorted((SOURCES / folder).glob("*.c"))
     return sorted(found, key=lambda path: path.name != "main.c")

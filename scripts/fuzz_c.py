@@ -87,12 +87,27 @@ def _coordinator_seeds() -> Iterator[bytes]:
             yield reset + b"\x03\xff\x01" + bytes([len(envelope)]) + envelope + b"\x03\xff"
 
 
+def _backpack_seeds() -> Iterator[bytes]:
+    """Yield each message of the format given to a backpack to report (action 3) or to hear (1), then said (5) and acknowledged (2)."""
+    for vector in _vectors("uplink"):
+        payload = bytes.fromhex(vector["hex"])
+        if len(payload) <= 57:
+            yield b"\x05\x03" + payload.ljust(57, b"\0")[:57] + b"\x05\x06\xff\x02\x00\x00\x05"
+            yield b"\x05\x03" + payload  # the last action: a block takes what there is
+    for vector in _vectors("downlink"):
+        payload = bytes.fromhex(vector["hex"])
+        if "fields" in vector:
+            body = payload[4:-2].ljust(40, b"\0")[:40]
+            yield (bytes([1 | (payload[0] - 0x81) << 3]) + body + b"\x07\x05") * 2
+
+
 def _delivery_seeds() -> Iterator[bytes]:
     """Yield both ends given payloads, frames put on the wire and carried over, some lost, some doubled."""
     yield bytes([2, 3, 0x82, 0x83] * 3 + [0, 0x80, 2, 0x82, 3, 0x83, 5, 0x45, 0xC5, 6 | 15 << 3] * 6)
 
 
 TARGETS = {
+    "fuzz_backpack": Target(modules=("backpack", "codec", "crc", "layouts"), longest=600, seeds=_backpack_seeds),
     "fuzz_frame": Target(modules=("crc", "frame"), longest=600, seeds=_frame_seeds),
     "fuzz_codec": Target(modules=("codec", "crc", "layouts"), longest=256, seeds=_codec_seeds),
     "fuzz_link": Target(modules=("link",), longest=600, seeds=_link_seeds, defines=("-DBB_LINK_INITIATOR=1",)),

@@ -22,6 +22,8 @@
 #define BB_BENCH_PERIOD_MS 15000u
 #define BB_BENCH_START_MS 1000000u /* bench time when the board is switched on; all meetings are over */
 #define BB_BENCH_SKEW_MS 37000u
+#define BB_BENCH_BATCH_MS 60u         /* a backpack says a batch no sooner after the one before */
+#define BB_BENCH_EUI64_1 0xBEu        /* second octet of a backpack's EUI-64; the first is its number, the others are 0 */
 
 /* Reports of one backpack in all. */
 #define BB_BENCH_REPORTS (BB_BENCH_MEETINGS * (BB_BENCH_NODES - 1u))

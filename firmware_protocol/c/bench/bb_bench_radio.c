@@ -10,6 +10,7 @@
 #define AIR_MS 2u           /* a payload down takes this long */
 #define UPLINKS_PER_POLL 2u /* 250 kbit/s carry no more in a millisecond or two */
 #define LQI 200u
+#define NEAREST_DBM (-50)
 #define OCTETS_OF_EUI64 8u
 
 /* Both stand there only where the backpacks do: memory at power-on is anything. */
@@ -38,7 +39,7 @@ static uint32_t last_poll_ms;
 
 static uint32_t tick_of(const struct bb_bench_backpack *backpack)
 {
-    return kept.bench_ms + backpack->node * BB_BENCH_SKEW_MS;
+    return kept.bench_ms + backpack->messages.node * BB_BENCH_SKEW_MS;
 }
 
 void bb_bench_start(uint32_t now_ms)
@@ -66,7 +67,7 @@ void bb_bench_start(uint32_t now_ms)
 
 static void tell_joined(void)
 {
-    uint8_t eui64[OCTETS_OF_EUI64] = {0, 0xBE, 0, 0, 0, 0, 0, 0};
+    uint8_t eui64[OCTETS_OF_EUI64] = {0, BB_BENCH_EUI64_1, 0, 0, 0, 0, 0, 0};
     while (kept.n_joined < BB_BENCH_NODES) {
         eui64[0] = (uint8_t)(kept.n_joined + 1u);
         if (!bb_coordinator_node_joined((uint16_t)(FIRST_ADDRESS + kept.n_joined + 1u), eui64)) {
@@ -82,7 +83,7 @@ static void deliver(const struct downlink *one)
     uint8_t i;
     for (i = 0; i < BB_BENCH_NODES; i++) {
         struct bb_bench_backpack *to = &kept.backpacks[i];
-        if (one->destination == BROADCAST || one->destination == FIRST_ADDRESS + to->node) {
+        if (one->destination == BROADCAST || one->destination == FIRST_ADDRESS + to->messages.node) {
             bb_bench_backpack_hear(to, one->payload, one->length, tick_of(to));
             status = BB_RADIO_SENT;
         }
@@ -99,23 +100,21 @@ static void go_down(uint32_t now_ms)
     }
 }
 
+/* What the coordinator has no room for is lost on the air: its backpack repeats it. */
 static void go_up(void)
 {
     uint8_t payload[BB_MAX_RADIO_PAYLOAD];
-    uint8_t n_sent = 0, n_silent = 0, ticket;
+    uint8_t n_sent = 0, n_silent = 0;
     while (n_sent < UPLINKS_PER_POLL && n_silent < BB_BENCH_NODES) {
         struct bb_bench_backpack *from = &kept.backpacks[next_to_speak];
-        uint32_t tick = tick_of(from);
-        uint8_t length = bb_bench_backpack_next(from, tick, payload, &ticket);
+        uint16_t node = from->messages.node;
+        uint8_t length = bb_bench_backpack_speak(from, tick_of(from), payload);
         next_to_speak = (uint8_t)((next_to_speak + 1u) % BB_BENCH_NODES);
         if (length == 0u) {
             n_silent++;
             continue;
         }
-        if (!bb_coordinator_radio_received((uint16_t)(FIRST_ADDRESS + from->node), (int8_t)(-50 - (int8_t)from->node), LQI, payload, length)) {
-            return; /* no room: it is due again at the next poll */
-        }
-        bb_bench_backpack_was_sent(from, ticket, tick);
+        (void)bb_coordinator_radio_received((uint16_t)(FIRST_ADDRESS + node), (int8_t)(NEAREST_DBM - (int16_t)node), LQI, payload, length);
         n_silent = 0;
         n_sent++;
     }
