@@ -141,6 +141,7 @@ _EXPLICIT_REQUEST = struct.Struct(">BBQHBBHHBB")
 _STATUS = struct.Struct(">BBHBBB")
 _MODEM = struct.Struct(">BB")
 _RECEIVE = struct.Struct(">BQHB")
+_RECEIVE_FIELDS = struct.Struct(">xQHB")
 _EXPLICIT_RECEIVE = struct.Struct(">BQHBBHHB")
 _IDENTIFICATION = struct.Struct(">BQHBHQ")
 _IDENTIFICATION_END = struct.Struct(">HBBHH")
@@ -190,10 +191,10 @@ def decode_xbee(body: bytes) -> Frame | XBeeFault:
 
 def unpack_receive(body: bytes) -> tuple[int, int, int, bytes] | None:
     """Return source64, source16, options and payload of a 0x90 body, or None where it is none: for bulk work."""
-    if body[:1] != b"\x90" or len(body) < _RECEIVE.size:
+    if len(body) < _RECEIVE.size or body[0] != 0x90:
         return None
-    _, source64, source16, options = _RECEIVE.unpack_from(body)
-    return source64, source16, options, body[_RECEIVE.size :]
+    source64, source16, options = _RECEIVE_FIELDS.unpack_from(body)
+    return source64, source16, options, body[12:]
 
 
 def _encode_to_module(frame: ToModule) -> bytes:
