@@ -21,9 +21,7 @@ from gateway.transports.spec import parse_port_spec
 
 def add_listening_arguments(parser: argparse.ArgumentParser, *, is_required: bool = True) -> None:
     """Add the flags that say which port is listened to, and how."""
-    parser.add_argument(
-        "--port", required=is_required, metavar="SPEC", help="a radio: serial:/dev/ttyACM0?baud=115200&dialect=xbee, tcp:HOST:PORT"
-    )
+    parser.add_argument("--port", required=is_required, metavar="SPEC", help="a radio, as for run")
     parser.add_argument("--duration-s", type=float, metavar="S", help="end after this (default: on Ctrl-C)")
     parser.add_argument("--passive", action="store_true", help="only listen; a dongle that waits to be opened says nothing then")
     parser.add_argument(

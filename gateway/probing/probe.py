@@ -18,9 +18,10 @@ from gateway.probing.recognition import (
     is_rom_acknowledgement,
     recognise,
 )
+from gateway.transports.can_spec import CanSpec
 from gateway.transports.interface import Transport
 from gateway.transports.serial_port import SerialTransport, settings_kept
-from gateway.transports.spec import PortSpec, SerialSpec, open_transport, parse_port_spec
+from gateway.transports.spec import SerialSpec, TcpSpec, open_transport, parse_port_spec
 
 BAUDS = (115_200, 9_600, 57_600, 38_400, 230_400)
 """In this order: what most dongles have, what an XBee has from the factory, and the rest."""
@@ -31,7 +32,6 @@ _LINES = ((False, False), (False, True), (False, False))
 """DTR and RTS, one after the other, that restart CC2652 boards whose boot loader pin and reset hang on them."""
 
 _SHOWN = 24
-_BUS_DIALECTS = {"can", "canfd"}
 
 _ASK: dict[Family, Callable[[Transport, Pace], Coroutine[Any, Any, Identity]]] = {
     Family.NATIVE: lambda transport, pace: ask_host(transport, pace, dialect="native"),
@@ -62,7 +62,7 @@ async def probe_port(port: str, *, is_intrusive: bool = False, pace: Pace | None
         if isinstance(spec, SerialSpec):
             with settings_kept(spec.path):
                 return await _probe_serial(port, spec, pace, is_intrusive=is_intrusive)
-        if spec.dialect in _BUS_DIALECTS:
+        if isinstance(spec, CanSpec):
             return await _probe_bus(port, spec, pace)
         return await _probe_tcp(port, spec, pace)
     except TransportOpenError as error:
@@ -99,7 +99,7 @@ async def _probe_serial(port: str, spec: SerialSpec, pace: Pace, *, is_intrusive
     return _silent(port, heard)
 
 
-async def _probe_tcp(port: str, spec: PortSpec, pace: Pace) -> Finding:
+async def _probe_tcp(port: str, spec: TcpSpec, pace: Pace) -> Finding:
     transport = await open_transport(spec)
     try:
         family, heard = await _find(transport, pace, baud=_BOOT_LOADER_BAUD, is_intrusive=False)
@@ -110,7 +110,7 @@ async def _probe_tcp(port: str, spec: PortSpec, pace: Pace) -> Finding:
         await transport.aclose()
 
 
-async def _probe_bus(port: str, spec: PortSpec, pace: Pace) -> Finding:
+async def _probe_bus(port: str, spec: CanSpec, pace: Pace) -> Finding:
     """Ask on a CAN bus as the gateway would: neither dialect nor speed is a question there."""
     transport = await open_transport(spec)
     try:

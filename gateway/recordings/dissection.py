@@ -6,6 +6,7 @@ whether they are heard live, read from a file, or begin in the middle.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from firmware_protocol.framing.interface import FrameDecoder, FrameFault
 from firmware_protocol.message_codec import decode_downlink, decode_uplink
@@ -35,10 +36,10 @@ class RadioPayload:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetworkFacts:
-    """What a frame tells of the dongle's network."""
+    """What a frame tells of the dongle's network; None where it does not."""
 
-    pan_id: int
-    channel: int
+    pan_id: int | None = None
+    channel: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +64,14 @@ class Dissection:
     fault: str = ""
 
 
+class FrameCutter(Protocol):
+    """Cuts one direction of a CAN line into its frames, for captures."""
+
+    def feed(self, chunk: bytes) -> list[tuple[bytes, str]]:
+        """Take the next bytes; return each frame in the form of LINKTYPE_CAN_SOCKETCAN, or nothing, and its fault where it has one."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dialect:
     """How a dialect's line is looked at.
@@ -75,11 +84,14 @@ class Dialect:
         Says what a frame body means, and given True, one to the dongle; never raises.
     delimiter
         The byte that ends every frame, and stands nowhere else; None where there is none.
+    make_cutter
+        Makes what cuts one direction into CAN frames; None where the line is no CAN bus.
     """
 
     make_decoder: Callable[[], FrameDecoder]
     dissect: Callable[[bytes, bool], Dissection]
     delimiter: bytes | None = None
+    make_cutter: Callable[[], FrameCutter] | None = None
 
 
 @dataclass(slots=True)

@@ -11,6 +11,8 @@ import pytest
 
 from firmware_protocol.dialects.native import NativeHost
 from firmware_protocol.envelope import CoordinatorHello, RadioReceived, RadioSend, encode_envelope
+from firmware_protocol.framing.can import encode_message
+from firmware_protocol.framing.can_frame import Direction
 from firmware_protocol.framing.cobs import encode_frame
 from firmware_protocol.layouts import DOWNLINK_LAYOUTS, UPLINK_LAYOUTS
 from firmware_protocol.message_codec import decode_downlink, decode_uplink
@@ -42,8 +44,10 @@ def sample_records() -> list[LineRecord]:
     for payload in (*UPLINK_SAMPLES, UPLINK_SAMPLES[0][:-1] + b"\x00"):
         received = RadioReceived(source=ShortAddress(0x1003), rssi_dbm=RssiDbm(-61), lqi=180, payload=payload)
         frames.append((RecordKind.BYTES_IN, encode_envelope(received)))
-    for payload in DOWNLINK_SAMPLES:
-        frames.append((RecordKind.BYTES_OUT, encode_envelope(RadioSend(handle=7, destination=ShortAddress(0x1003), payload=payload))))
+    frames += [
+        (RecordKind.BYTES_OUT, encode_envelope(RadioSend(handle=7, destination=ShortAddress(0x1003), payload=payload)))
+        for payload in DOWNLINK_SAMPLES
+    ]
     records = [LineRecord(kind=RecordKind.OPENED, monotonic_ns=0, wall_ns=_NS, data=b"x")]
     records += [
         LineRecord(kind=kind, monotonic_ns=one, wall_ns=_NS + one * 1_000_000, data=link_frame(envelope, one))
@@ -54,10 +58,16 @@ def sample_records() -> list[LineRecord]:
     return [*records, LineRecord(kind=RecordKind.BYTES_IN, monotonic_ns=99, wall_ns=_NS + 10**9, data=bytes(spoilt))]
 
 
-def write_capture(records: list[LineRecord]) -> bytes:
+def link_bodies(payloads: list[bytes]) -> list[bytes]:
+    """Link frames that carry the payloads up."""
+    received = [RadioReceived(source=ShortAddress(0x1003), rssi_dbm=RssiDbm(-61), lqi=180, payload=one) for one in payloads]
+    return [struct.pack("<BHB", 3, 0x1234, number) + encode_envelope(one) for number, one in enumerate(received)]
+
+
+def write_capture(records: list[LineRecord], *, dialect: str = "native") -> bytes:
     stream = io.BytesIO()
     writer = PcapngWriter(stream, comment="a comment", software="test")
-    capture = Capture(make_line_dissector("native", path="x"), writer, port="tcp:a:1", dialect="native")
+    capture = Capture(make_line_dissector(dialect, path="x"), writer, port="tcp:a:1", dialect=dialect)
     for record in records:
         capture.take(record)
     return stream.getvalue()
@@ -145,6 +155,21 @@ def test_the_dissector_shows_every_message_by_name_with_its_fields(capture: Path
         *("-e", "biobot.encounter_duration_ms", "-e", "biobot.encounterbatch.rssi_dbm"),
     )
     assert row.split("\t") == ["3", "4,5", "70000,900", "-60,-61"]
+
+
+@needs_tshark
+@pytest.mark.parametrize("is_fd", [False, True])
+def test_a_can_line_is_captured_frame_by_frame_and_what_the_frames_carry_besides(is_fd: bool, tmp_path: Path) -> None:
+    lines = [encode_message(body, unit=3, direction=Direction.FROM_COORDINATOR, is_fd=is_fd) for body in link_bodies(UPLINK_SAMPLES)]
+    records = [LineRecord(kind=RecordKind.BYTES_IN, monotonic_ns=0, wall_ns=_NS + one, data=line) for one, line in enumerate(lines)]
+    path = tmp_path / "can.pcapng"
+    path.write_bytes(write_capture(records, dialect="can:3"))
+    n_frames = sum(map(len, lines)) // (72 if is_fd else 16)
+
+    assert len(tshark(path, "-Y", "canfd" if is_fd else "can")) == n_frames
+    assert len(tshark(path, "-Y", "wpan")) == len(UPLINK_SAMPLES)
+    assert {int(one, 0) >> 21 & 31 for one in tshark(path, "-Y", "not wpan", "-T", "fields", "-e", "can.id")} == {3}
+    assert tshark(path, "-Y", 'frame.comment contains "fault"') == []
 
 
 @needs_tshark

@@ -18,7 +18,7 @@ from gateway.probing.findings import Finding, Verdict
 from gateway.probing.probe import probe_port
 from gateway.probing.recognition import TEST_FRAMES, Family, mt_bodies, mt_request, recognise, xbee_answers, xbee_bodies, xbee_query
 from simulator.dongles.choice import DIALECTS
-from tests.gateway.virtual_dongles import dongle_on_pty, dongle_on_tcp, hand_over, some_payloads
+from tests.gateway.virtual_dongles import dongle_on_pty, dongle_on_tcp, some_payloads
 
 FAST = Pace(answer_s=0.1, boot_s=0.15, silence_s=0.1, identify_s=5.0)
 _SERIAL = [dialect for dialect in DIALECTS if "can" not in dialect]
@@ -98,7 +98,7 @@ async def device(path: Path, respond: Callable[[bytes], bytes], *, baud: int | N
     """Put a device on a pseudo-terminal; it understands and answers only at its own speed, if it has one."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    path.symlink_to(os.ttyname(slave))
+    path.symlink_to(os.ttyname(slave))  # noqa: ASYNC240  # a blocking call of microseconds, in a test
     os.set_blocking(master, False)
     speed = None if baud is None else getattr(termios, f"B{baud}")
 
@@ -157,7 +157,7 @@ def test_what_a_native_dongle_holds_is_not_lost_by_a_probe_that_comes_too_late_f
     path = tmp_path / "dongle"
 
     async def run() -> Finding:
-        async with dongle_on_pty("native", path, prepare=lambda dongle: [hand_over(dongle, one) for one in some_payloads(40)] and None):
+        async with dongle_on_pty("native", path, payloads=some_payloads(40)):
             return await probe_port(str(path), pace=FAST)
 
     assert asyncio.run(run()).facts["channel"] == "20"

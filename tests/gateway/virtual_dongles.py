@@ -2,7 +2,8 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections import deque
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -47,26 +48,25 @@ def hand_over(dongle: Dongle, payload: bytes) -> bool:
 
 
 @asynccontextmanager
-async def dongle_on_tcp(dialect: str, *, prepare: Callable[[Dongle], None] = lambda _: None) -> AsyncIterator[tuple[Dongle, str]]:
-    """Serve a virtual dongle on a TCP port; yields it and the port's specification."""
+async def dongle_on_tcp(dialect: str, *, payloads: Sequence[bytes] = ()) -> AsyncIterator[tuple[Dongle, str]]:
+    """Serve a virtual dongle on a TCP port; yields it and the port's specification. It hears the payloads as soon as it is open."""
     line = await TcpEnd.listen("127.0.0.1", 0)
-    async with _served(dialect, line, prepare) as dongle:
+    async with _served(dialect, line, payloads) as dongle:
         yield dongle, f"{line.address}?dialect={dialect}"
 
 
 @asynccontextmanager
-async def dongle_on_pty(dialect: str, path: Path, *, prepare: Callable[[Dongle], None] = lambda _: None) -> AsyncIterator[Dongle]:
+async def dongle_on_pty(dialect: str, path: Path, *, payloads: Sequence[bytes] = ()) -> AsyncIterator[Dongle]:
     """Serve a virtual dongle on a pseudo-terminal."""
-    async with _served(dialect, PtyEnd(path), prepare) as dongle:
+    async with _served(dialect, PtyEnd(path), payloads) as dongle:
         yield dongle
 
 
 @asynccontextmanager
-async def _served(dialect: str, line: SerialEnd, prepare: Callable[[Dongle], None]) -> AsyncIterator[Dongle]:
+async def _served(dialect: str, line: SerialEnd, payloads: Sequence[bytes]) -> AsyncIterator[Dongle]:
     dongle = make_dongle(dialect, index=0)
     dongle.start(now_ns=time.monotonic_ns())
-    prepare(dongle)
-    pumping = asyncio.ensure_future(_pump(dongle, line))
+    pumping = asyncio.ensure_future(_pump(dongle, line, deque(payloads)))
     try:
         yield dongle
     finally:
@@ -75,10 +75,12 @@ async def _served(dialect: str, line: SerialEnd, prepare: Callable[[Dongle], Non
         await line.aclose()
 
 
-async def _pump(dongle: Dongle, line: SerialEnd) -> None:
+async def _pump(dongle: Dongle, line: SerialEnd, payloads: deque[bytes]) -> None:
     reading = asyncio.ensure_future(line.read())
     try:
         while True:
+            while payloads and dongle.is_open and hand_over(dongle, payloads[0]):
+                payloads.popleft()
             if data := dongle.take_bytes():
                 await line.write(data)
             await asyncio.wait({reading}, timeout=0.01)
