@@ -162,14 +162,13 @@ async def check_reopening(radio: RadioUnderTest, plan: Plan, node: Node) -> Resu
     return passed(name, opened_ms=opened_ms)
 
 
-async def check_stimulation(radio: RadioUnderTest, plan: Plan) -> Result:
-    """The named biobot starts and stops when told; only where that was asked for. The gateway's gate and journal take no part."""
+async def check_stimulation(radio: RadioUnderTest, plan: Plan, node: Node | None) -> Result:
+    """The biobot starts and stops when told; only where that was asked for. The gateway's gate and journal take no part."""
     name = "starts and stops"
     if not plan.stimulates:
         return skipped(name, "not asked for: --stimulate with --node N touches a living animal")
-    node = None if plan.node is None else radio.nodes.get(plan.node)
     if node is None:
-        return failed(name, f"biobot {plan.node} was not heard")
+        return failed(name, "no biobot was heard")
     began = await _command(radio, plan, node, Action.START)
     # Whatever became of the start, a stop follows, after the shortest pause between two trains.
     await asyncio.sleep(StimulationTable().min_gap_s)

@@ -61,7 +61,13 @@ async def _check_open_dongle(radio: RadioUnderTest, plan: Plan, tell: Callable[[
         tell(skipped(name, _NO_BIOBOT, is_required=True) for name in _OF_A_BIOBOT)
     else:
         await _check_biobot(radio, plan, node, tell)
-    tell([await biobot_checks.check_stimulation(radio, plan), await biobot_checks.soak(radio, plan), link_checks.check_understood(radio)])
+    tell(
+        [
+            await biobot_checks.check_stimulation(radio, plan, node),
+            await biobot_checks.soak(radio, plan),
+            link_checks.check_understood(radio),
+        ]
+    )
 
 
 async def _check_biobot(radio: RadioUnderTest, plan: Plan, node: Node, tell: Callable[[Iterable[Result]], None]) -> None:

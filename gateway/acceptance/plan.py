@@ -47,7 +47,7 @@ class Plan:
     node
         The biobot to talk to; None: the first that is heard.
     stimulates
-        Also start and stop that biobot; only where ``node`` is named.
+        Also start and stop that biobot: a living animal. The command line insists on its number.
     soak_s
         At last, ask for the time for so long without a break; 0: not at all.
     """

@@ -166,9 +166,9 @@ def test_a_can_line_is_captured_frame_by_frame_and_what_the_frames_carry_besides
     path.write_bytes(write_capture(records, dialect="can:3"))
     n_frames = sum(map(len, lines)) // (72 if is_fd else 16)
 
-    assert len(tshark(path, "-Y", "can")) == n_frames
+    assert len(tshark(path, "-Y", "canfd" if is_fd else "can")) == n_frames
     assert len(tshark(path, "-Y", "wpan")) == len(UPLINK_SAMPLES)
-    assert {int(one, 0) >> 21 & 31 for one in tshark(path, "-Y", "can", "-T", "fields", "-e", "can.id")} == {3}
+    assert {int(one, 0) >> 21 & 31 for one in tshark(path, "-Y", "not wpan", "-T", "fields", "-e", "can.id")} == {3}
     assert tshark(path, "-Y", 'frame.comment contains "fault"') == []
 
 
