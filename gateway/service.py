@@ -108,7 +108,7 @@ class Service:
         coordinators = {
             name: Coordinator(
                 radio=name,
-                make_host=partial(_make_host, spec.dialect),
+                make_host=partial(_make_host, spec),
                 open_port=partial(open_recorded, spec, recorders.get(name), can_buses=can_buses),
                 on_radio=intake.take,
                 config=config.link,
@@ -261,6 +261,6 @@ async def run_gateway(config: GatewayConfig) -> None:
     await service.run()
 
 
-def _make_host(dialect: str) -> Host:
+def _make_host(spec: PortSpec) -> Host:
     # A dongle may still tell of payloads of an earlier process: their numbers must not be those of this one.
-    return make_host(dialect, first_handle=random.randrange(1 << 16))
+    return make_host(spec.dialect, first_handle=random.randrange(1 << 16), network=spec.network)

@@ -3,15 +3,16 @@
 from collections.abc import Callable
 
 from firmware_protocol.dialects.can import DEFAULT_UNIT, make_can_host
-from firmware_protocol.dialects.interface import Host
+from firmware_protocol.dialects.interface import Host, NetworkWish
 from firmware_protocol.dialects.native import NativeHost
 from firmware_protocol.dialects.xbee import XBeeHost
 from firmware_protocol.dialects.znp import ZnpHost
+from firmware_protocol.dialects.znp_opening import ZnpHostConfig
 
 DEFAULT_DIALECT = "native"
 
 
-def make_host(dialect: str, *, first_handle: int = 0) -> Host:
+def make_host(dialect: str, *, first_handle: int = 0, network: NetworkWish | None = None) -> Host:
     """Return the base station's end of a line in a dialect of ``DIALECTS``.
 
     Parameters
@@ -20,25 +21,30 @@ def make_host(dialect: str, *, first_handle: int = 0) -> Host:
         ``can`` and ``canfd`` may have a unit number behind them: ``can:7``.
     first_handle
         Where numbers of payloads begin, in dialects that have them: anywhere else than in an earlier process.
+    network
+        What a dongle without a network is to form, in dialects of ``FORMING_DIALECTS``.
     """
     name, _, unit = dialect.partition(":")
     if name in CAN_DIALECTS:
         return make_can_host(unit=int(unit or DEFAULT_UNIT), is_fd=name == "canfd", first_handle=first_handle)
-    return _MAKERS[dialect](first_handle)
+    return _MAKERS[dialect](first_handle, network or NetworkWish())
 
 
-def _make_native(first_handle: int) -> Host:
+def _make_native(first_handle: int, _network: NetworkWish) -> Host:
     return NativeHost(first_handle=first_handle)
 
 
-def _make_xbee(first_handle: int) -> Host:  # noqa: ARG001  # frame ids have no memory in a module
-    return XBeeHost()
+def _make_xbee(_first_handle: int, _network: NetworkWish) -> Host:
+    return XBeeHost()  # frame ids have no memory in a module
 
 
-def _make_znp(first_handle: int) -> Host:
-    return ZnpHost(first_handle=first_handle)
+def _make_znp(first_handle: int, network: NetworkWish) -> Host:
+    config = ZnpHostConfig(pan_id=network.pan_id, channel=network.channel, permit_join_s=network.permit_join_s)
+    return ZnpHost(config=config, first_handle=first_handle)
 
 
-_MAKERS: dict[str, Callable[[int], Host]] = {"native": _make_native, "xbee": _make_xbee, "znp": _make_znp}
+_MAKERS: dict[str, Callable[[int, NetworkWish], Host]] = {"native": _make_native, "xbee": _make_xbee, "znp": _make_znp}
 CAN_DIALECTS = ("can", "canfd")
+FORMING_DIALECTS = ("znp",)
+"""Those whose dongles form the network that they are told to."""
 DIALECTS = (*_MAKERS, *CAN_DIALECTS)

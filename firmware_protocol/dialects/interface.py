@@ -15,6 +15,25 @@ from firmware_protocol.units import RSSI_UNKNOWN as RSSI_UNKNOWN  # noqa: PLC041
 from firmware_protocol.units import ShortAddress
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetworkWish:
+    """What network a dongle is to form that has none; a network that is there is kept. Of the dialects only Z-Stack forms one.
+
+    Parameters
+    ----------
+    pan_id
+        0x0000 to 0xFFFE; None: the dongle chooses.
+    channel
+        11 to 26; None: the dialect's own choice.
+    permit_join_s
+        How long nodes may join after each opening [s]; 0 never, 254 for as long as the base station runs.
+    """
+
+    pan_id: int | None = None
+    channel: int | None = None
+    permit_join_s: int = 254
+
+
 class LostWhy(Enum):
     """Why a dongle was given up."""
 

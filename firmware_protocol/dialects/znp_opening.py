@@ -51,6 +51,10 @@ _ALL_ROUTERS = 0xFFFC
 _TO_BROADCAST = 0x0F
 
 
+_ANY_PAN_ID = 0xFFFF
+_DEFAULT_CHANNEL = 20
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZnpHostConfig:
     """What network to form where there is none, and who may join.
@@ -58,15 +62,15 @@ class ZnpHostConfig:
     Parameters
     ----------
     pan_id
-        0xFFFF: the dongle chooses.
-    channels
-        Those it may choose from, a bit for each: bit 11 is channel 11.
+        None: the dongle chooses.
+    channel
+        11 to 26; None: 20.
     permit_join_s
         How long nodes may join after each opening [s]; 0 never, 254 for as long as the base station runs.
     """
 
-    pan_id: int = 0xFFFF
-    channels: int = 1 << 20
+    pan_id: int | None = None
+    channel: int | None = None
     permit_join_s: int = 254
 
 
@@ -152,6 +156,7 @@ def open_dongle(config: ZnpHostConfig) -> Generator[Step, Came, Opened]:
     if config.permit_join_s:
         yield Ask(request=permit_join(config.permit_join_s))
     hello = yield from _hello(version, eui64=info.eui64)
+    yield from _compare(config, hello)
     return Opened(hello=hello, description=description)
 
 
@@ -185,17 +190,19 @@ def _has_network(*, is_old: bool) -> Generator[Step, Came, bool]:
 
 
 def _form(config: ZnpHostConfig, *, is_old: bool) -> Generator[Step, Came, None]:
+    pan_id = _ANY_PAN_ID if config.pan_id is None else config.pan_id
+    channels = 1 << (_DEFAULT_CHANNEL if config.channel is None else config.channel)
     yield from _write_item(NvItem.STARTUP_OPTION, bytes((CLEAR_CONFIG | CLEAR_STATE,)))
     yield Write(data=encode_frame(encode_command(znp.ResetRequest(kind=1))))
     yield from _await_reset()
     yield from _write_item(NvItem.LOGICAL_TYPE, bytes((COORDINATOR_TYPE,)))
-    yield from _write_item(NvItem.PANID, config.pan_id.to_bytes(2, "little"))
-    yield from _write_item(NvItem.CHANLIST, config.channels.to_bytes(4, "little"))
+    yield from _write_item(NvItem.PANID, pan_id.to_bytes(2, "little"))
+    yield from _write_item(NvItem.CHANLIST, channels.to_bytes(4, "little"))
     yield from _write_item(NvItem.ZDO_DIRECT_CB, b"\x01")
     if is_old:
         yield from _ask(znp.StartupRequest(delay_ms=100), znp.StatusReply)
         return
-    yield from _ask(znp.SetChannelRequest(is_primary=1, channels=config.channels), znp.StatusReply)
+    yield from _ask(znp.SetChannelRequest(is_primary=1, channels=channels), znp.StatusReply)
     yield from _ask(znp.SetChannelRequest(is_primary=0, channels=0), znp.StatusReply)
     started = yield from _ask(znp.CommissioningRequest(mode=BDB_FORMATION), znp.StatusReply)
     if started.status != ZnpStatus.SUCCESS:
@@ -245,6 +252,13 @@ def _hello(version: znp.VersionReply, *, eui64: int) -> Generator[Step, Came, Co
         channel=network.channel,
         max_radio_payload=MAX_RADIO_PAYLOAD,
     )
+
+
+def _compare(config: ZnpHostConfig, hello: CoordinatorHello) -> Generator[Step, Came, None]:
+    """Say so where a network that was kept is not the one that was wished for."""
+    if config.pan_id not in {None, hello.pan_id} or config.channel not in {None, hello.channel}:
+        there = f"PAN 0x{hello.pan_id:04X} on channel {hello.channel}"
+        yield Say(level=2, name="other_network", text=f"it keeps its network, {there}; to form another, erase its memory first")
 
 
 def _write_item(item: NvItem, value: bytes) -> Generator[Step, Came, None]:

@@ -34,7 +34,8 @@ async def check_radio(spec: PortSpec, plan: Plan, *, on_result: Callable[[Result
             on_result(result)
 
     radio = RadioUnderTest(
-        open_port=partial(open_transport, spec), make_host=lambda: make_host(spec.dialect, first_handle=random.randrange(1 << 16))
+        open_port=partial(open_transport, spec),
+        make_host=lambda: make_host(spec.dialect, first_handle=random.randrange(1 << 16), network=spec.network),
     )
     opened_ns = time.monotonic_ns()
     try:

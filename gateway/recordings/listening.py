@@ -80,7 +80,7 @@ def _make_session(transport: Transport, spec: PortSpec, how: Listening) -> HostS
         if how.confirms and isinstance(event, PayloadHeard):
             session.confirm(event.receipt)
 
-    session = HostSession(transport, make_host(spec.dialect), on_event=on_event)
+    session = HostSession(transport, make_host(spec.dialect, network=spec.network), on_event=on_event)
     return session
 
 

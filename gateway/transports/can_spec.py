@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_protocol.dialects.can import DEFAULT_UNIT
+from firmware_protocol.dialects.interface import NetworkWish
 from firmware_protocol.framing.can_frame import MAX_UNIT
 from gateway.errors import TransportSpecError
 
@@ -50,6 +51,11 @@ class CanSpec:
     def bus_name(self) -> str:
         """What the bus is called."""
         return f"can:{self.interface}:{self.channel}"
+
+    @property
+    def network(self) -> NetworkWish | None:
+        """Nothing: coordinators on CAN are told by ``biobot-gateway configure``."""
+        return None
 
     @property
     def dialect(self) -> str:

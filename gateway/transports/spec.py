@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 from urllib.parse import parse_qsl
 
-from firmware_protocol.dialects.choice import DEFAULT_DIALECT, DIALECTS
+from firmware_protocol.dialects.choice import DEFAULT_DIALECT, DIALECTS, FORMING_DIALECTS
+from firmware_protocol.dialects.interface import NetworkWish
 from gateway.errors import TransportSpecError
 from gateway.transports.can_port import CanBuses
 from gateway.transports.can_spec import OPTIONS, CanSpec, read_can_spec
@@ -15,6 +16,7 @@ from gateway.transports.tcp import open_tcp
 DEFAULT_BAUD = 115_200
 
 _MAX_BAUD = 4_000_000
+_NETWORK_OPTIONS = {"pan_id": range(0xFFFF), "channel": range(11, 27), "permit_join_s": range(255)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +26,7 @@ class SerialSpec:
     path: str
     baud: int
     dialect: str = DEFAULT_DIALECT
+    network: NetworkWish | None = None
 
     @property
     def name(self) -> str:
@@ -38,6 +41,7 @@ class TcpSpec:
     host: str
     port: int
     dialect: str = DEFAULT_DIALECT
+    network: NetworkWish | None = None
 
     @property
     def name(self) -> str:
@@ -91,17 +95,17 @@ async def open_transport(spec: PortSpec, *, can_buses: CanBuses | None = None) -
 
 
 def _parse_serial(spec: str, rest: str) -> SerialSpec:
-    path, options = _split_options(spec, rest, allowed=("baud", "dialect"))
+    path, options = _split_options(spec, rest, allowed=("baud", "dialect", *_NETWORK_OPTIONS))
     if not path:
         raise TransportSpecError(spec=spec, reason="names no device")
     baud = options.get("baud", str(DEFAULT_BAUD))
     if not baud.isascii() or not baud.isdigit() or not 1 <= int(baud) <= _MAX_BAUD:
         raise TransportSpecError(spec=spec, reason=f"baud is {baud!r}, but must be a number from 1 to {_MAX_BAUD}")
-    return SerialSpec(path=path, baud=int(baud), dialect=_dialect(spec, options))
+    return SerialSpec(path=path, baud=int(baud), dialect=_dialect(spec, options), network=_network(spec, options))
 
 
 def _parse_tcp(spec: str, rest: str) -> TcpSpec:
-    place, options = _split_options(spec, rest, allowed=("dialect",))
+    place, options = _split_options(spec, rest, allowed=("dialect", *_NETWORK_OPTIONS))
     host, colon, port = place.rpartition(":")
     if host.startswith("[") and host.endswith("]"):
         host = host[1:-1]
@@ -109,7 +113,7 @@ def _parse_tcp(spec: str, rest: str) -> TcpSpec:
         raise TransportSpecError(spec=spec, reason="must be tcp:HOST:PORT")
     if not port.isascii() or not port.isdigit() or not 1 <= int(port) <= 65_535:
         raise TransportSpecError(spec=spec, reason=f"the port is {port!r}, but must be a number from 1 to 65535")
-    return TcpSpec(host=host, port=int(port), dialect=_dialect(spec, options))
+    return TcpSpec(host=host, port=int(port), dialect=_dialect(spec, options), network=_network(spec, options))
 
 
 def _split_options(spec: str, rest: str, *, allowed: tuple[str, ...]) -> tuple[str, dict[str, str]]:
@@ -134,3 +138,23 @@ def _dialect(spec: str, options: dict[str, str]) -> str:
     if dialect not in DIALECTS:
         raise TransportSpecError(spec=spec, reason=f"unknown dialect {dialect!r}: it must be one of {', '.join(DIALECTS)}")
     return dialect
+
+
+def _network(spec: str, options: dict[str, str]) -> NetworkWish | None:
+    values: dict[str, int] = {}
+    for key, allowed in _NETWORK_OPTIONS.items():
+        if key not in options:
+            continue
+        if (dialect := _dialect(spec, options)) not in FORMING_DIALECTS:
+            names = " or ".join(FORMING_DIALECTS)
+            raise TransportSpecError(
+                spec=spec, reason=f"{key} is for dialect {names}, not {dialect}; docs/dongles.md says how to set its network"
+            )
+        try:
+            values[key] = int(options[key], 0)
+        except ValueError:
+            values[key] = -1
+        if values[key] not in allowed:
+            reason = f"{key} is {options[key]!r}, but must be a number from {allowed[0]} to {allowed[-1]}"
+            raise TransportSpecError(spec=spec, reason=reason)
+    return NetworkWish(**values) if values else None

@@ -10,6 +10,7 @@ from simulator.dongles.interface import Dongle
 from simulator.dongles.native import NativeDongle, NativeDongleConfig
 from simulator.dongles.xbee import XBeeDongle, XBeeDongleConfig
 from simulator.dongles.znp import ZnpDongle, ZnpDongleConfig
+from simulator.dongles.znp_stack import ZStack
 
 DEFAULT_DIALECT = "native"
 
@@ -33,7 +34,7 @@ def make_dongle(dialect: str, *, index: int) -> Dongle:
 
 def host_dialect(dongle: str) -> str:
     """Return what a base station calls the dialect of a dongle of ``DONGLES``."""
-    return "xbee" if dongle in _VARIANTS else dongle
+    return dongle.partition("-")[0] if dongle in _VARIANTS else dongle
 
 
 def _make_native(eui64: int, pan_id: int) -> Dongle:
@@ -45,16 +46,19 @@ def _make_xbee(eui64: int, pan_id: int, *, mode: int = 2) -> Dongle:
     return XBeeDongle(config=XBeeDongleConfig(eui64=eui64, pan_id=pan_id, memory={"CE": 1, "AP": mode}))
 
 
-def _make_znp(eui64: int, pan_id: int) -> Dongle:
-    return ZnpDongle(config=ZnpDongleConfig(eui64=eui64, pan_id=pan_id))
+def _make_znp(eui64: int, pan_id: int, *, firmware: ZStack = ZStack.V3_X_0) -> Dongle:
+    is_stick = firmware is ZStack.V1_2
+    return ZnpDongle(config=ZnpDongleConfig(eui64=eui64, pan_id=pan_id, firmware=firmware, has_boot_loader=is_stick))
 
 
 _MAKERS: dict[str, Callable[[int, int], Dongle]] = {"native": _make_native, "xbee": _make_xbee, "znp": _make_znp}
 _VARIANTS: dict[str, Callable[[int, int], Dongle]] = {
     "xbee-ap0": partial(_make_xbee, mode=0),
     "xbee-ap1": partial(_make_xbee, mode=1),
+    "znp-cc2531": partial(_make_znp, firmware=ZStack.V1_2),
 }
-"""The same dialects in another state: an XBee in transparent mode, as it comes from the factory, or in API mode 1."""
+"""The same dialects in another state: an XBee in transparent mode, as it comes from the factory, or in API mode 1; a CC2531
+with Z-Stack 1.2 that is in its boot loader when it is plugged in."""
 DIALECTS = (*_MAKERS, *CAN_DIALECTS)
 DONGLES = (*DIALECTS, *_VARIANTS)
 """All that ``make_dongle`` makes."""

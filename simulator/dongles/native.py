@@ -18,6 +18,7 @@ from firmware_protocol.envelope import (
     Envelope,
     EnvelopeFault,
     IdentifyRequest,
+    NodeJoined,
     RadioConfirm,
     RadioReceived,
     RadioSend,
@@ -140,7 +141,9 @@ class NativeDongle:
         )
 
     def node_joined(self, address: ShortAddress, *, eui64: int, now_ns: int) -> None:
-        """Do nothing: the native dialect of this version does not tell."""
+        """Tell a base station that is there (§4.9); one that comes later hears from the node itself."""
+        if self.is_open and self._link.n_free > _RESERVE:
+            self._send(NodeJoined(address=address, eui64=eui64), now_ns=now_ns)
 
     def _handle(self, events: list[LinkEvent], *, now_ns: int) -> None:
         for event in events:

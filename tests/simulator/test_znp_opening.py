@@ -21,7 +21,7 @@ from tests.simulator.znp_bench import CC2531_WITH_LOADER, NODE, a_bench, every_c
 
 @every_chip
 def test_a_new_chip_forms_the_network_that_is_wanted(config: ZnpDongleConfig) -> None:
-    bench = opened(config, ZnpHostConfig(pan_id=0x0ABC, channels=1 << 26))
+    bench = opened(config, ZnpHostConfig(pan_id=0x0ABC, channel=26))
     hello = bench.identified().hello
     assert (hello.pan_id, hello.channel, hello.eui64) == (0x0ABC, 26, config.eui64)
     assert bench.dongle.memory.network == ZnpNetwork(pan_id=0x0ABC, channel=26)
@@ -56,7 +56,7 @@ def test_a_reset_costs_the_opening_and_not_the_network(config: ZnpDongleConfig) 
 def test_a_second_base_station_finds_the_network_as_it_is_and_resets_nothing(config: ZnpDongleConfig) -> None:
     bench = opened(config)
     bench.asked.clear()
-    bench.host = ZnpHost(config=ZnpHostConfig(pan_id=0x0DEF, channels=1 << 11))
+    bench.host = ZnpHost(config=ZnpHostConfig(pan_id=0x0DEF, channel=11))
     bench.open()
     bench.run_until_open(within_ms=2_000)
     assert bench.identified().hello.pan_id == config.pan_id
