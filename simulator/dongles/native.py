@@ -18,6 +18,7 @@ from firmware_protocol.envelope import (
     Envelope,
     EnvelopeFault,
     IdentifyRequest,
+    NodeJoined,
     RadioConfirm,
     RadioReceived,
     RadioSend,
@@ -140,7 +141,9 @@ class NativeDongle:
         )
 
     def node_joined(self, address: ShortAddress, *, eui64: int, now_ns: int) -> None:
-        """Do nothing: the native dialect of this version does not tell."""
+        """Tell the base station, if there is one; it need not know, for every payload says who sent it."""
+        if self.is_open and self._link.n_free > _RESERVE:
+            self._send(NodeJoined(address=address, eui64=eui64), now_ns=now_ns)
 
     def _handle(self, events: list[LinkEvent], *, now_ns: int) -> None:
         for event in events:
