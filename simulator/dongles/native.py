@@ -141,7 +141,7 @@ class NativeDongle:
         )
 
     def node_joined(self, address: ShortAddress, *, eui64: int, now_ns: int) -> None:
-        """Tell a base station that is there (§4.9); one that comes later hears from the node itself."""
+        """Tell the base station, if there is one; it need not know, for every payload says who sent it."""
         if self.is_open and self._link.n_free > _RESERVE:
             self._send(NodeJoined(address=address, eui64=eui64), now_ns=now_ns)
 

@@ -3,6 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_protocol.dialects.interface import HostEvent, NodeSeen
+from firmware_protocol.dialects.native import NativeHost
 from firmware_protocol.envelope import IdentifyRequest, RadioReceived, RadioSend, RadioStatus, encode_envelope
 from firmware_protocol.message_codec import encode_uplink
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD, Acknowledge, Hello, HelloRequest, Uplink, UplinkHeader
@@ -110,6 +112,20 @@ def test_a_request_too_long_or_too_many_is_answered_and_not_sent() -> None:
         cable.run(20)
     assert len(coordinator.requests) == 64
     assert [one.status for one in base.confirms[1:]] == [RadioStatus.QUEUE_FULL] * 6
+
+
+def test_a_node_that_joins_is_told_of_to_a_base_station_that_is_there_and_costs_nobody_a_place() -> None:
+    coordinator, host = NativeDongle(), NativeHost()
+    coordinator.node_joined(ShortAddress(4), eui64=7, now_ns=0)
+    host.open(session=1, now_ns=0)
+    events: list[HostEvent] = []
+    for step in range(4):
+        coordinator.feed(b"".join(host.take_frames()), now_ns=step)
+        if step == 2:
+            coordinator.node_joined(ShortAddress(5), eui64=8, now_ns=step)
+        events += host.feed(coordinator.take_bytes(), now_ns=step)
+    assert [event for event in events if isinstance(event, NodeSeen)] == [NodeSeen(address=ShortAddress(5), eui64=8)]
+    assert coordinator.faults == host.faults == {}
 
 
 def test_the_coordinator_says_who_it_is_when_asked() -> None:
