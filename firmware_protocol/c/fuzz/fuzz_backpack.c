@@ -84,6 +84,17 @@ static void hear_acknowledge(uint16_t next, uint32_t bitmap)
     hear(payload, bb_encode_downlink(&message, payload, sizeof payload));
 }
 
+/* All but the oldest number is on disk: so the span grows, while slots are free. */
+static void hear_all_but_the_oldest(void)
+{
+    uint16_t furthest = 0;
+    for (uint8_t i = 0; i < BB_BACKPACK_SLOTS; i++) {
+        uint16_t behind = (uint16_t)(backpack->next_sequence - backpack->slots[i].sequence);
+        if (backpack->slots[i].length != 0 && behind > furthest) furthest = behind;
+    }
+    hear_acknowledge((uint16_t)(backpack->next_sequence - furthest), 0xFFFFFFFFu);
+}
+
 static void act(struct input *input)
 {
     uint8_t action = take_u8(input), length;
@@ -103,7 +114,11 @@ static void act(struct input *input)
         break;
     case 2: /* near the numbers that are in use */
         number = (uint16_t)(backpack->next_sequence - (action >> 3));
-        hear_acknowledge(number, (uint32_t)take_u16(input) << (action & 16));
+        if (action & 0x80) {
+            hear_all_but_the_oldest();
+        } else {
+            hear_acknowledge(number, (uint32_t)take_u16(input) << (action & 16));
+        }
         break;
     case 3: /* decoded from the input, so that it is a message of the format */
         block = take_block(input, BB_MAX_RADIO_PAYLOAD, &length);
