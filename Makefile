@@ -12,10 +12,9 @@ help:  ## list the targets
 
 venv: $(STAMP)  ## make .venv with everything, pinned and hashed; every console script runs from it
 SOURCES := $(wildcard simulator/engine/*.[ch] mapper/kernels/*.[ch] gateway/bulk/*.c firmware_protocol/c/*.[ch] firmware_protocol/c/bulk/*.[ch])
-$(STAMP): pyproject.toml requirements/dev.txt scripts/bootstrap.sh scripts/compiler.sh hatch_build.py $(SOURCES)
-	sh scripts/bootstrap.sh $(VENV)
+$(STAMP): pyproject.toml requirements/dev.txt requirements/build.txt scripts/bootstrap.sh scripts/install.sh scripts/compiler.sh hatch_build.py $(SOURCES)
 	sh scripts/compiler.sh
-	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
+	sh scripts/install.sh $(VENV) requirements/dev.txt
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --editable .
 	-$(PY) -m mapper warm-up --quiet
 	touch $(STAMP)
@@ -63,13 +62,11 @@ bench-map: venv  ## how fast maps are made, beside the plain ways, and persisten
 	$(MAKE) bench-rips ARGS=
 
 bench-rips: venv  ## Rips persistence beside GUDHI, ripser.py and giotto-ph, in an environment of its own (a minute)
-	sh scripts/bootstrap.sh $(PEERS)
-	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt -r requirements/peers.txt
+	sh scripts/install.sh $(PEERS) requirements/dev.txt requirements/peers.txt
 	$(PEERS)/bin/python -m studies.bench_rips $(ARGS)
 
 wire-peers:  ## make .venv-wire-peers with zigpy-znp and zigpy-xbee (GPL), which tests run as programs of their own
-	sh scripts/bootstrap.sh $(WIRE_PEERS)
-	$(WIRE_PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/wire-peers.txt
+	sh scripts/install.sh $(WIRE_PEERS) requirements/wire-peers.txt
 
 bench-live: venv  ## 2,000 encounters/s into a store of 500,000: age of the map, the API, the gateway, losses, restart (minutes)
 	$(PY) -m studies.bench_live $(ARGS)
