@@ -5,6 +5,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 PEERS := .venv-peers
 WIRE_PEERS := .venv-wire-peers
+FUZZ := .venv-fuzz
 ARGS ?=
 
 help:  ## list the targets
@@ -88,6 +89,17 @@ check-c: venv  ## compile the C side for this machine, Cortex-M and 8051 without
 	$(PY) scripts/generate_c.py --check
 	$(PY) scripts/firmware_size.py $(ARGS)
 
+resync: venv  ## how many sound frames the damage of others costs, beside other libraries (half a minute; wants make wire-peers)
+	$(PY) -m studies.resync $(ARGS)
+
+bench-wire: venv  ## how fast frames are decoded, beside other libraries (a minute; wants make wire-peers)
+	$(PY) -m studies.bench_wire $(ARGS)
+
+fuzz-wire:  ## fuzz all that reads from a line, guided by coverage (docs/wire-fuzz.md; hours; ARGS="--inputs 10000000")
+	sh scripts/bootstrap.sh $(FUZZ)
+	$(FUZZ)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt -r requirements/fuzz.txt
+	$(FUZZ)/bin/python -m studies.fuzz_wire $(ARGS)
+
 wire-fuzz: venv  ## ask Python and C the same of millions of inputs (docs/wire-fuzz.md; ARGS="--inputs 10000000")
 	$(PY) -m studies.wire_fuzz --differential $(ARGS)
 
@@ -105,6 +117,6 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) $(PEERS) $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out bench-live-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 .PHONY: $(shell sed -nE 's/^([a-z-]+):( .*)?$$/\1/p' $(MAKEFILE_LIST))

@@ -13,3 +13,5 @@ uv pip compile --quiet --universal --generate-hashes --no-header --python-versio
   pyproject.toml --output-file requirements/peers.txt
 uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 --extra wire-peers --constraint requirements/dev.txt \
   pyproject.toml --output-file requirements/wire-peers.txt
+uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 --extra fuzz --constraint requirements/dev.txt \
+  pyproject.toml --output-file requirements/fuzz.txt

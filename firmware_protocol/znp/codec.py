@@ -129,6 +129,14 @@ def decode_command(body: bytes) -> Message | ZnpFault:
     return cast("Callable[..., Message]", row.kind)(**dict(zip(names, values, strict=False)))
 
 
+def unpack_incoming(body: bytes) -> tuple[int, int, int, bytes] | None:
+    """Return cluster, source, link quality and data of an AF_INCOMING_MSG body, or None where it is none: for bulk work."""
+    if body[:2] != _INCOMING_PREFIX or len(body) < _INCOMING.size or len(body) < _INCOMING.size + body[_INCOMING.size - 1]:
+        return None
+    _, cluster, source, _, _, _, lqi, _, _, _, length = _INCOMING.unpack_from(body)
+    return cluster, source, lqi, body[_INCOMING.size : _INCOMING.size + length]
+
+
 def _decode_incoming(body: bytes) -> znp.IncomingMessage | ZnpFault:
     """Decode what comes most often, and must be fast."""
     if len(body) < _INCOMING.size or len(body) < _INCOMING.size + body[_INCOMING.size - 1]:

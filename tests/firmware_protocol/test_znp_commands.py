@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from firmware_protocol.errors import EncodeError
 from firmware_protocol.znp import frames as znp
 from firmware_protocol.znp.codec import _BY_KIND as ROWS
-from firmware_protocol.znp.codec import Message, answered_command, command_of, decode_command, encode_command
+from firmware_protocol.znp.codec import Message, answered_command, command_of, decode_command, encode_command, unpack_incoming
 from firmware_protocol.znp.frames import Reply, Request, ZnpFault
 from firmware_protocol.znp.numbers import ANSWER, Command
 
@@ -132,3 +132,14 @@ def test_every_answer_names_its_request() -> None:
 def test_every_command_has_a_row_with_a_code_for_each_field() -> None:
     for kind, row in ROWS.items():
         assert len(row.codes.replace("?", "")) == len(fields(kind)) == len(get_type_hints(kind))
+
+
+def test_the_short_way_to_a_payload_says_what_the_long_one_says() -> None:
+    message = znp.IncomingMessage(
+        group=0, cluster=1, source=0x1234, source_endpoint=0xB1, destination_endpoint=0xB1, was_broadcast=0, lqi=99, security=0,
+        timestamp=7, sequence=3, data=b"payload",
+    )  # fmt: skip
+    body = encode_command(message)
+    assert unpack_incoming(body + b"beyond") == (1, 0x1234, 99, b"payload")
+    assert unpack_incoming(body[:-1]) is None
+    assert unpack_incoming(b"\x44\x80" + body[2:]) is None
