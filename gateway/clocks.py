@@ -13,8 +13,10 @@ from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, N
 MAX_DRIFT_PPM = 100
 """Largest difference in rate of the two clocks: a backpack's crystal (40 ppm for IEEE 802.15.4) and the host's, with margin."""
 
-ASSUMED_DELAY_NS = Nanoseconds(50 * NS_PER_MS)
-"""While no time sync has bounded it, the fastest message is taken to have needed at most this. An assumption, not a measurement."""
+ASSUMED_DELAY_NS = Nanoseconds(2 * NS_PER_S)
+"""While no time sync has bounded it, the fastest message is taken to have needed at most this: the link's longest retransmission time
+(WIRE_FORMAT.md §3.4), for on a line so bad that no time sync comes through, even the fastest may have been repeated. An assumption, not a
+measurement."""
 
 TYPICAL_DELAY_NS = Nanoseconds(10 * NS_PER_MS)
 """The fastest uplink message is taken to have needed at most this where the bounds leave more room: uplinks that found no
