@@ -33,7 +33,7 @@ ELSEWHERE = {
 """Sources that a library has beside those of its own folder."""
 
 
-class LibrariesBuildHook(BuildHookInterface):  # type: ignore[misc, type-arg]  # hatchling is untyped here
+class LibrariesBuildHook(BuildHookInterface):  # type: ignore[type-arg]  # hatchling is untyped here
     """Compiles the libraries before a wheel, editable or not, is put together."""
 
     PLUGIN_NAME = "custom"
