@@ -100,8 +100,8 @@ fuzz-wire:  ## fuzz all that reads from a line, guided by coverage (docs/wire-fu
 	$(FUZZ)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt -r requirements/fuzz.txt
 	$(FUZZ)/bin/python -m studies.fuzz_wire $(ARGS)
 
-wire-fuzz: venv  ## ask Python and C the same of millions of inputs (docs/wire-fuzz.md; ARGS="--inputs 10000000")
-	$(PY) -m studies.wire_fuzz --differential $(ARGS)
+fuzz-both: venv  ## ask Python and C the same of millions of inputs (docs/wire-fuzz.md; ARGS="--inputs 10000000")
+	$(PY) -m studies.wire_differences $(ARGS)
 
 firmware-image: venv  ## build the coordinator firmware for an emulated board and for the CC2530 (needs their compilers: make system-packages)
 	$(PY) scripts/build_firmware.py $(ARGS)

@@ -1,4 +1,4 @@
-"""Python and C say the same of every input, valid or not; a slow campaign of the same is ``python -m studies.wire_fuzz``."""
+"""Python and C say the same of every input, valid or not; a slow campaign of the same is ``python -m studies.wire_differences``."""
 
 import struct
 

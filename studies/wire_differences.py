@@ -1,6 +1,6 @@
 """Ask Python and C the same of millions of inputs, valid, mutated and random (docs/wire-fuzz.md).
 
-    python -m studies.wire_fuzz --differential --inputs 10000000
+    python -m studies.wire_differences --inputs 10000000
 
 Stops at the first input of which they say different things, prints it, and exits 1. The same seed gives the same inputs.
 """
@@ -219,8 +219,7 @@ def run(wire: Wire, kind: str, *, n_inputs: int, seed: int) -> tuple[int, float,
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the command line."""
-    parser = argparse.ArgumentParser(prog="python -m studies.wire_fuzz", description="Ask Python and C the same of many inputs.")
-    parser.add_argument("--differential", action="store_true", required=True, help="compare Python with C")
+    parser = argparse.ArgumentParser(prog="python -m studies.wire_differences", description="Ask Python and C the same of many inputs.")
     parser.add_argument("--inputs", type=int, default=100_000, help="of each kind (100,000)")
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS), help="which kinds (all)")
     parser.add_argument("--seed", type=int, default=1, help="of the inputs (1)")
@@ -232,7 +231,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = make_parser().parse_args(arguments)
     compiler = find_compiler()
     if compiler is None:
-        print("wire_fuzz: no C compiler here; install gcc, or set CC", file=sys.stderr)
+        print("wire_differences: no C compiler here; install gcc, or set CC", file=sys.stderr)
         return 1
     with tempfile.TemporaryDirectory() as folder:
         wire = Wire(compile_wire(Path(folder), compiler=compiler))
