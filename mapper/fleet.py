@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from firmware_protocol.contract.records import Cause, GatewayEvent, GatewayStatus, Mode, ModeRecord, NeighbourReport, NodeStatus
-from firmware_protocol.units import NodeId
+from firmware_protocol.units import RSSI_UNKNOWN, NodeId
 
 # A gateway speaks every second; one that missed several is not there.
 _SILENT_AFTER_NS = 5_000_000_000
@@ -145,7 +145,7 @@ class Fleet:
             cause=status.cause,
             radio=status.radio,
             battery_mv=status.battery_mv,
-            rssi_dbm=status.rssi_dbm,
+            rssi_dbm=None if status.rssi_dbm == RSSI_UNKNOWN else status.rssi_dbm,
             lqi=status.lqi,
             last_heard_wall_ns=status.last_heard_wall_ns,
             buffered=status.buffered,

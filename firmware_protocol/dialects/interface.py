@@ -11,7 +11,6 @@ from enum import Enum
 from typing import Protocol, TypeAlias
 
 from firmware_protocol.envelope import CoordinatorHello, RadioReceived
-from firmware_protocol.units import RSSI_UNKNOWN as RSSI_UNKNOWN  # noqa: PLC0414  # the dialects take it from here
 from firmware_protocol.units import ShortAddress
 
 

@@ -8,7 +8,6 @@ from collections import Counter
 from dataclasses import dataclass
 
 from firmware_protocol.dialects.interface import (
-    RSSI_UNKNOWN,
     CoordinatorIdentified,
     CoordinatorSaid,
     HostEvent,
@@ -53,7 +52,7 @@ from firmware_protocol.errors import EncodeError
 from firmware_protocol.framing.interface import FrameDecoder, FrameFault
 from firmware_protocol.framing.xbee import encode_frame, make_decoder
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD
-from firmware_protocol.units import NS_PER_S, RssiDbm, ShortAddress
+from firmware_protocol.units import NS_PER_S, RSSI_UNKNOWN, RssiDbm, ShortAddress
 
 _LQI_UNKNOWN = 0
 _DEFAULT_LONGEST = 84

@@ -12,7 +12,6 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 from firmware_protocol.dialects.interface import (
-    RSSI_UNKNOWN,
     CoordinatorIdentified,
     CoordinatorSaid,
     HostEvent,
@@ -42,7 +41,7 @@ from firmware_protocol.errors import EncodeError
 from firmware_protocol.framing.interface import FrameFault
 from firmware_protocol.framing.znp import ZnpDecoder, encode_frame
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD
-from firmware_protocol.units import NS_PER_MS, NS_PER_S, RssiDbm, ShortAddress
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, RSSI_UNKNOWN, RssiDbm, ShortAddress
 from firmware_protocol.znp import frames as znp
 from firmware_protocol.znp.codec import Message, answered_command, command_of, decode_command, encode_command
 from firmware_protocol.znp.frames import Reply, Request, ZnpFault

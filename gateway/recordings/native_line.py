@@ -4,6 +4,7 @@ import struct
 
 from firmware_protocol.envelope import CoordinatorHello, EnvelopeFault, RadioReceived, RadioSend, decode_envelope
 from firmware_protocol.framing.cobs import CobsDecoder
+from firmware_protocol.units import RSSI_UNKNOWN
 from gateway.recordings.dissection import Dialect, Dissection, NetworkFacts, RadioPayload
 from gateway.recordings.plain_values import fields_of
 
@@ -12,8 +13,6 @@ _DATA = 3
 _RESETS = (1, 2)
 KINDS = {1: "RESET", 2: "RESET_ACK", _DATA: "DATA", 4: "ACK", 5: "PING", 6: "NEED_RESET"}
 """Link frames by their kind (§3.1)."""
-
-_RSSI_UNKNOWN = 127
 
 
 def dissect_native(body: bytes, is_outgoing: bool) -> Dissection:  # noqa: FBT001  # the interface's
@@ -42,7 +41,7 @@ def _dissect_envelope(body: bytes, *, is_outgoing: bool, fields: dict[str, objec
     told = fields_of(envelope)
     match envelope:
         case RadioReceived(source=source, rssi_dbm=rssi_dbm, lqi=lqi, payload=data):
-            payload = RadioPayload(address=source, data=data, rssi_dbm=None if rssi_dbm == _RSSI_UNKNOWN else rssi_dbm, lqi=lqi)
+            payload = RadioPayload(address=source, data=data, rssi_dbm=None if rssi_dbm == RSSI_UNKNOWN else rssi_dbm, lqi=lqi)
             told = {}
         case RadioSend(destination=destination, payload=data, handle=handle):
             payload = RadioPayload(address=destination, data=data)

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.dialects.interface import (
-    RSSI_UNKNOWN,
     CoordinatorIdentified,
     CoordinatorSaid,
     HostEvent,
@@ -44,7 +43,7 @@ from firmware_protocol.dialects.xbee_sending import MAX_QUEUE, WINDOW
 from firmware_protocol.envelope import BROADCAST_ADDRESS, RadioStatus
 from firmware_protocol.errors import EncodeError, LinkFullError
 from firmware_protocol.framing.xbee import encode_frame, make_decoder
-from firmware_protocol.units import NS_PER_MS, NS_PER_S, ShortAddress
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, RSSI_UNKNOWN, ShortAddress
 from tests.strategies import u16
 
 EUI64 = 0x0013A20041AEB54E

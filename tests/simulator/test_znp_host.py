@@ -5,7 +5,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.dialects.interface import (
-    RSSI_UNKNOWN,
     HostLost,
     LostWhy,
     NodeSeen,
@@ -17,7 +16,7 @@ from firmware_protocol.dialects.znp_window import MAX_QUEUE
 from firmware_protocol.envelope import RadioReceived, RadioStatus
 from firmware_protocol.errors import LinkFullError
 from firmware_protocol.framing.znp import ZnpDecoder
-from firmware_protocol.units import RssiDbm
+from firmware_protocol.units import RSSI_UNKNOWN, RssiDbm
 from firmware_protocol.znp import frames as znp
 from firmware_protocol.znp.codec import Message, decode_command
 from firmware_protocol.znp.numbers import BIOBOT_CLUSTER, BIOBOT_ENDPOINT, Command, DeviceState, ZnpStatus
