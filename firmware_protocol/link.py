@@ -4,11 +4,14 @@ Theory of operation
 -------------------
 Two ends, two roles. The *initiator* (the base station) opens a session with RESET and a session number; the *responder*
 (the coordinator dongle) answers RESET_ACK. Within a session each end numbers its DATA frames modulo 256, keeps a window
-of them unacknowledged, and repeats all of the window (go-back-N) when no acknowledgement comes in time.
+of them unacknowledged, and repeats all of the window (go-back-N) when no acknowledgement comes in time, or when one comes
+that says nothing new: then something is missing at the other end. Repetitions are answered so, too; hence it counts only
+when something sent after the last repetition has been acknowledged, and each new payload brings about one repetition at most.
 
 A receiver acknowledges a payload only when its owner says so (``confirm``): the base station confirms after the payload's
 records are on disk. A repeated payload that still waits for its confirmation is answered with the old acknowledgement, so
-a slow disk stalls the sender but does not break the link.
+a slow disk stalls the sender but does not break the link. An initiator, though, gives up a responder that talks but
+acknowledges nothing, unless it is the initiator's own owner that stalls: then the responder may have no room for an answer.
 
 What a responder has not seen acknowledged survives a new session and is sent again: nothing heard over the air is lost
 because a cable was pulled. What an initiator has not seen acknowledged is dropped and reported: a command to a living
@@ -69,6 +72,8 @@ class LostReason(Enum):
     NO_ANSWER = "no_answer"
     PEER_RESTARTED = "peer_restarted"
     PEER_RESET = "peer_reset"
+    NO_PROGRESS = "no_progress"
+    """It talks, and acknowledges nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +85,7 @@ class LinkConfig:
     retransmit_ns: int = 300 * _NS_PER_MS
     max_retransmit_ns: int = 2_000 * _NS_PER_MS
     max_silent_retries: int = 5
+    max_fruitless_retries: int = 10
     keepalive_ns: int = 3_000 * _NS_PER_MS
     reset_retry_ns: int = 500 * _NS_PER_MS
 
@@ -147,6 +153,12 @@ class Link:
     _reset_at_ns: int | None = None
     _ping_at_ns: int | None = None
     _n_silent: int = 0
+    _n_fruitless: int = 0
+    """Repetitions since an acknowledgement made progress, not counting those while this end's owner stalled."""
+    _newest_at_repetition: int = 0
+    """Receipt of the newest payload that had come when the window was last repeated."""
+    _n_repeating: int = 0
+    """How many payloads must be acknowledged before an acknowledgement that says nothing new says that something was lost."""
 
     def open(self, *, session: int, now_ns: int) -> list[LinkEvent]:
         """Begin a session under a number the last one did not have (initiator only); RESET is repeated until answered."""
@@ -186,6 +198,14 @@ class Link:
             self._unsent.append((ticket, payload))
         self._fill_window(now_ns)
         return ticket
+
+    def cancel(self, ticket: int) -> bool:
+        """Take back a payload that was not sent yet; return whether it was not."""
+        for entry in self._unsent:
+            if entry[0] == ticket:
+                self._unsent.remove(entry)
+                return True
+        return False
 
     def confirm(self, receipt: int) -> None:
         """Acknowledge to the peer all payloads up to and including ``receipt``. Receipts of past sessions are ignored."""
@@ -243,7 +263,10 @@ class Link:
         if self._retransmit_at_ns is not None and now_ns >= self._retransmit_at_ns:
             if self._n_silent >= self.config.max_silent_retries:
                 return self._lose(LostReason.NO_ANSWER)
+            if self.role is Role.INITIATOR and self._is_fruitless():
+                return self._lose(LostReason.NO_PROGRESS)
             self._n_silent += 1
+            self._retransmit_ns = min(2 * self._retransmit_ns, self.config.max_retransmit_ns)
             self._repeat_window(now_ns)
         if self._ping_at_ns is not None and now_ns >= self._ping_at_ns:
             if self._n_silent >= self.config.max_silent_retries:
@@ -265,6 +288,7 @@ class Link:
         self._frames.clear()
         self._receipts.clear()
         self._first_unacknowledged = self._next_expected = self._n_confirmed = self._n_silent = 0
+        self._n_fruitless = self._n_repeating = 0
         self._retransmit_at_ns = self._reset_at_ns = self._ping_at_ns = None
 
     def _accept_reset(self, session: int, payload: bytes, now_ns: int) -> list[LinkEvent]:
@@ -320,10 +344,14 @@ class Link:
             return []
         events: list[LinkEvent] = [PayloadConfirmed(ticket=self._in_flight.popleft()[0]) for _ in range(n_acknowledged)]
         if n_acknowledged:
+            self._n_fruitless = 0
+            self._n_repeating = max(0, self._n_repeating - n_acknowledged)
             self._first_unacknowledged = sequence
             self._retransmit_ns = self.config.retransmit_ns
             self._retransmit_at_ns = now_ns + self._retransmit_ns if self._in_flight else None
             self._fill_window(now_ns)
+        elif self._in_flight and not self._n_repeating:
+            self._repeat_window(now_ns)
         return events
 
     def _fill_window(self, now_ns: int) -> None:
@@ -340,8 +368,15 @@ class Link:
         for index, (_, payload) in enumerate(self._in_flight):
             self._push(_Kind.DATA, (self._first_unacknowledged + index) % 256, payload)
             self.n_repeated += 1
-        self._retransmit_ns = min(2 * self._retransmit_ns, self.config.max_retransmit_ns)
+        self._n_repeating = len(self._in_flight) + 1  # and one that was not sent before
         self._retransmit_at_ns = now_ns + self._retransmit_ns
+
+    def _is_fruitless(self) -> bool:
+        """Count a repetition; return whether there were too many of them."""
+        is_stalling = bool(self._receipts) and self._receipts[0] <= self._newest_at_repetition
+        self._n_fruitless = 0 if is_stalling else self._n_fruitless + 1
+        self._newest_at_repetition = self._next_receipt - 1
+        return self._n_fruitless > self.config.max_fruitless_retries
 
     def _forget_outgoing(self) -> tuple[int, ...]:
         dropped = tuple(ticket for ticket, _ in (*self._in_flight, *self._unsent))

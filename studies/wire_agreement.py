@@ -27,7 +27,7 @@ from studies.c_wire import Decoded, Wire
 _UPLINKS = {layout.kind: layout for layout in UPLINK_LAYOUTS}
 _DOWNLINKS = {layout.name: layout for layout in DOWNLINK_LAYOUTS}
 _ENVELOPES = {layout.name: layout for layout in (*ENVELOPE_LAYOUTS, *CARRIER_LAYOUTS)}
-_REASONS = (LostReason.NO_ANSWER, LostReason.PEER_RESTARTED, LostReason.PEER_RESET)
+_REASONS = (LostReason.NO_ANSWER, LostReason.PEER_RESTARTED, LostReason.PEER_RESET, LostReason.NO_PROGRESS)
 _NS_PER_MS = 1_000_000
 _DATA = 3
 

@@ -13,6 +13,16 @@ enum frame_kind { RESET = 1, RESET_ACK = 2, DATA = 3, ACK = 4, PING = 5, NEED_RE
 #define TIMER_RESET 0x02u
 #define TIMER_PING 0x04u
 
+static bool is_initiator(const struct bb_link *link)
+{
+#if BB_LINK_INITIATOR
+    return link->role == BB_LINK_INITIATOR_ROLE;
+#else
+    (void)link;
+    return false;
+#endif
+}
+
 static bool is_due(uint32_t at_ms, uint32_t now_ms)
 {
     return now_ms - at_ms < 0x80000000u;
@@ -95,6 +105,10 @@ static void begin_session(struct bb_link *link, uint16_t session)
     link->next_expected = 0;
     link->n_confirmed = 0;
     link->n_silent = 0;
+#if BB_LINK_INITIATOR
+    link->n_fruitless = 0;
+#endif
+    link->n_repeating = 0;
     link->n_in_flight = 0; /* what was in flight is sent first in the new session */
     link->n_sent = 0;
     link->cursor = 0;
@@ -104,7 +118,7 @@ static void heard(struct bb_link *link, uint32_t now_ms)
 {
     link->n_silent = 0;
 #if BB_LINK_INITIATOR
-    if (link->role == BB_LINK_INITIATOR_ROLE) {
+    if (is_initiator(link)) {
         link->ping_at_ms = now_ms + BB_LINK_KEEPALIVE_MS;
         link->timers |= TIMER_PING;
     }
@@ -131,7 +145,7 @@ static void lose(struct bb_link *link, uint8_t reason, struct bb_link_event *eve
     event->kind = BB_LINK_LOST;
     event->reason = reason;
 #if BB_LINK_INITIATOR
-    event->n_dropped = link->role == BB_LINK_INITIATOR_ROLE ? drop_all(link) : 0u;
+    event->n_dropped = is_initiator(link) ? drop_all(link) : 0u;
 #endif
 }
 
@@ -185,6 +199,16 @@ static void take_data(struct bb_link *link, uint8_t sequence, const uint8_t *pay
     link->n_unconfirmed++;
 }
 
+/* Send all that is in flight again. An ACK without progress brings that about again only when a payload has arrived that is sent for the
+ * first time after this: what is repeated needlessly is answered so as well. */
+static void repeat_window(struct bb_link *link, uint32_t now_ms)
+{
+    link->n_sent = 0;
+    link->cursor = 0;
+    link->n_repeating = (uint8_t)(link->n_in_flight + 1u);
+    link->retransmit_at_ms = now_ms + link->retransmit_ms;
+}
+
 static void take_acknowledgement(struct bb_link *link, uint8_t sequence, uint32_t now_ms, struct bb_link_event *event)
 {
     uint8_t n = (uint8_t)(sequence - link->first_unacknowledged);
@@ -193,8 +217,15 @@ static void take_acknowledgement(struct bb_link *link, uint8_t sequence, uint32_
         return;
     }
     if (n == 0u) {
+        if (link->n_in_flight != 0u && link->n_repeating == 0u) {
+            repeat_window(link, now_ms);
+        }
         return;
     }
+#if BB_LINK_INITIATOR
+    link->n_fruitless = 0;
+#endif
+    link->n_repeating = link->n_repeating > n ? (uint8_t)(link->n_repeating - n) : (uint8_t)0;
     event->kind = BB_LINK_CONFIRMED;
     event->n_confirmed = n;
     while (n != 0u) {
@@ -226,7 +257,12 @@ void bb_link_start(struct bb_link *link, uint8_t role, uint8_t *queue, uint16_t 
     link->retransmit_ms = BB_LINK_RETRANSMIT_MS;
     link->n_ignored = 0;
     link->n_repeated = 0;
+#if BB_LINK_INITIATOR
+    link->receipt_at_repetition = 0;
     link->role = role;
+#else
+    (void)role;
+#endif
     link->state = BB_LINK_CLOSED;
     link->version = BB_LINK_VERSION;
     link->is_holding = false;
@@ -288,19 +324,19 @@ void bb_link_receive(struct bb_link *link, const uint8_t *body, uint8_t length, 
     kind = body[0];
     session = (uint16_t)((unsigned)body[1] | (unsigned)body[2] << 8);
     length = (uint8_t)(length - BB_LINK_HEADER_SIZE);
-    if (kind == RESET && link->role == BB_LINK_RESPONDER_ROLE) {
+    if (kind == RESET && !is_initiator(link)) {
         accept_reset(link, session, body + BB_LINK_HEADER_SIZE, length, now_ms, event);
         return;
     }
 #if BB_LINK_INITIATOR
-    if (kind == NEED_RESET && link->role == BB_LINK_INITIATOR_ROLE && link->state == BB_LINK_OPEN) {
+    if (kind == NEED_RESET && is_initiator(link) && link->state == BB_LINK_OPEN) {
         lose(link, BB_LINK_PEER_RESTARTED, event);
         return;
     }
 #endif
     if (session != link->session || link->state == BB_LINK_CLOSED) {
         link->n_ignored++;
-        if (link->role == BB_LINK_RESPONDER_ROLE && (kind == DATA || kind == PING)) {
+        if (!is_initiator(link) && (kind == DATA || kind == PING)) {
             link->pending |= PENDING_NEED_RESET;
         }
         return;
@@ -403,6 +439,18 @@ uint8_t bb_link_next_frame(struct bb_link *link, uint8_t *body, uint32_t now_ms)
     return (uint8_t)(length + BB_LINK_HEADER_SIZE);
 }
 
+#if BB_LINK_INITIATOR
+/* Count a repetition; true: there were too many of them. An owner that has not confirmed what had come at the last one stalls the peer,
+ * which may then have no room for an answer: that is not the peer's fault. */
+static bool is_fruitless(struct bb_link *link)
+{
+    uint16_t n_older = (uint16_t)(link->receipt_at_repetition - link->next_receipt);
+    link->n_fruitless = n_older != 0u && n_older <= link->n_unconfirmed ? (uint8_t)0 : (uint8_t)(link->n_fruitless + 1u);
+    link->receipt_at_repetition = (uint16_t)(link->next_receipt + link->n_unconfirmed);
+    return link->n_fruitless > BB_LINK_MAX_FRUITLESS_RETRIES;
+}
+#endif
+
 void bb_link_poll(struct bb_link *link, uint32_t now_ms, struct bb_link_event *event)
 {
     event->kind = BB_LINK_NOTHING;
@@ -417,14 +465,18 @@ void bb_link_poll(struct bb_link *link, uint32_t now_ms, struct bb_link_event *e
             lose(link, BB_LINK_NO_ANSWER, event);
             return;
         }
+#if BB_LINK_INITIATOR
+        if (is_initiator(link) && is_fruitless(link)) {
+            lose(link, BB_LINK_NO_PROGRESS, event);
+            return;
+        }
+#endif
         link->n_silent++;
-        link->n_sent = 0;
-        link->cursor = 0;
         link->retransmit_ms = (uint16_t)(link->retransmit_ms * 2u);
         if (link->retransmit_ms > BB_LINK_MAX_RETRANSMIT_MS) {
             link->retransmit_ms = BB_LINK_MAX_RETRANSMIT_MS;
         }
-        link->retransmit_at_ms = now_ms + link->retransmit_ms;
+        repeat_window(link, now_ms);
     }
 #if BB_LINK_INITIATOR
     if ((link->timers & TIMER_PING) != 0u && is_due(link->ping_at_ms, now_ms)) {

@@ -23,6 +23,7 @@
 #define BB_LINK_RETRANSMIT_MS 300u
 #define BB_LINK_MAX_RETRANSMIT_MS 2000u
 #define BB_LINK_MAX_SILENT_RETRIES 5u
+#define BB_LINK_MAX_FRUITLESS_RETRIES 10u
 #define BB_LINK_KEEPALIVE_MS 3000u
 #define BB_LINK_RESET_RETRY_MS 500u
 
@@ -44,7 +45,7 @@ enum bb_link_event_kind {
     BB_LINK_LOST = 4       /* the session ended, for this reason */
 };
 
-enum bb_link_lost { BB_LINK_NO_ANSWER = 0, BB_LINK_PEER_RESTARTED = 1, BB_LINK_PEER_RESET = 2 };
+enum bb_link_lost { BB_LINK_NO_ANSWER = 0, BB_LINK_PEER_RESTARTED = 1, BB_LINK_PEER_RESET = 2, BB_LINK_NO_PROGRESS = 3 };
 
 struct bb_link_event {
     const uint8_t *payload;
@@ -65,6 +66,9 @@ struct bb_link {
 #if BB_LINK_INITIATOR
     uint32_t reset_at_ms;
     uint32_t ping_at_ms;
+    uint16_t receipt_at_repetition; /* that the next payload would have had when the window was last repeated */
+    uint8_t n_fruitless;            /* repetitions without progress, not counting those while the owner stalled */
+    uint8_t role;                   /* without an initiator's code there is one role */
 #endif
     uint16_t queue_size;
     uint16_t head; /* of the oldest record */
@@ -76,13 +80,13 @@ struct bb_link {
     uint16_t n_unconfirmed; /* payloads received and not yet confirmed by the owner */
     uint16_t n_ignored;     /* frames that were not of this session or not understood; modulo 2^16, as the next */
     uint16_t n_repeated;    /* DATA frames sent more than once */
-    uint8_t role;
     uint8_t state;
     uint8_t version;             /* of the link protocol that both ends speak in this session */
     uint8_t pending;             /* control frames to be sent, a bit each */
     uint8_t timers;              /* which of the deadlines above are set */
     uint8_t n_in_flight;         /* records sent in this session and not acknowledged */
     uint8_t n_sent;              /* of them, sent since the last repetition began */
+    uint8_t n_repeating;         /* payloads to be acknowledged before an ACK without progress tells of a loss */
     uint8_t first_unacknowledged;
     uint8_t next_expected;
     uint8_t n_confirmed;
@@ -90,7 +94,7 @@ struct bb_link {
     bool is_holding; /* set by the owner: payloads are not taken now, the peer repeats them */
 };
 
-/* queue_size: 16 to 32767. The memory stays the owner's, and must outlive the link. */
+/* queue_size: 16 to 32767; role: where there is no initiator's code, the responder's. The memory stays the owner's, and must outlive the link. */
 void bb_link_start(struct bb_link *link, uint8_t role, uint8_t *queue, uint16_t queue_size);
 
 /* The longest payload that bb_link_send takes now, in octets: 0 to BB_LINK_MAX_PAYLOAD. */

@@ -34,8 +34,8 @@ def _make_native(first_handle: int, _network: NetworkWish) -> Host:
     return NativeHost(first_handle=first_handle)
 
 
-def _make_xbee(_first_handle: int, _network: NetworkWish) -> Host:
-    return XBeeHost()  # frame ids have no memory in a module
+def _make_xbee(first_handle: int, _network: NetworkWish) -> Host:
+    return XBeeHost(first_handle=first_handle)
 
 
 def _make_znp(first_handle: int, network: NetworkWish) -> Host:

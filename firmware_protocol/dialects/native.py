@@ -127,7 +127,8 @@ class NativeHost:
         return ticket
 
     def forget(self, ticket: int) -> None:
-        """Wait no more for what became of a payload; it is sent all the same if the link has it."""
+        """Wait no more for what became of a payload; one that was not written yet is not sent."""
+        self._link.cancel(ticket)
         for handle in [handle for handle, pending in self._pending.items() if pending == ticket]:
             del self._pending[handle]
 
@@ -198,6 +199,8 @@ class NativeHost:
         self._forget_receipts()
         if reason is LostReason.NO_ANSWER:
             return HostLost(why=LostWhy.NO_ANSWER, detail="the dongle does not answer", dropped=tickets)
+        if reason is LostReason.NO_PROGRESS:
+            return HostLost(why=LostWhy.NO_ANSWER, detail="the dongle talks, but acknowledges nothing", dropped=tickets)
         return HostLost(why=LostWhy.RESTARTED, detail="the dongle restarted", dropped=tickets)
 
     def _forget_receipts(self) -> None:

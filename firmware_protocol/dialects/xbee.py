@@ -39,6 +39,8 @@ from firmware_protocol.dialects.xbee_meanings import (
     ASSOCIATED,
     DELIVERY,
     EVENTS,
+    MAY_HAVE_NO_NETWORK,
+    NO_NETWORK,
     OF_MODULE,
     RESTARTS,
     Happening,
@@ -47,7 +49,7 @@ from firmware_protocol.dialects.xbee_meanings import (
 )
 from firmware_protocol.dialects.xbee_opening import AT_FRAME_ID, Answers, Opening, Stage
 from firmware_protocol.dialects.xbee_sending import Sendings
-from firmware_protocol.envelope import BROADCAST_ADDRESS, CoordinatorHello, RadioReceived, RadioStatus
+from firmware_protocol.envelope import CoordinatorHello, RadioReceived, RadioStatus
 from firmware_protocol.errors import EncodeError
 from firmware_protocol.framing.interface import FrameDecoder, FrameFault
 from firmware_protocol.framing.xbee import encode_frame, make_decoder
@@ -69,6 +71,8 @@ class XBeeHostConfig:
         How long a module may be without a network before it is refused.
     keepalive_ns, strike_ns, max_strikes
         After how much silence it is asked whether it is there, how long an answer may take, and how many may be missing.
+    check_ns
+        How often it is asked whether it has its network, whatever is heard from it.
     keeps_mode
         Where a module in transparent mode is switched to API mode, write that into its memory.
     endpoints
@@ -79,14 +83,21 @@ class XBeeHostConfig:
     keepalive_ns: int = 3 * NS_PER_S
     strike_ns: int = NS_PER_S
     max_strikes: int = 3
+    check_ns: int = 10 * NS_PER_S
     keeps_mode: bool = False
     endpoints: Endpoints | None = None
 
 
 class XBeeHost:
-    """See the module and ``dialects.interface.Host``."""
+    """See the module and ``dialects.interface.Host``. What it knows of addresses, and frame ids in use, outlive an opening.
 
-    def __init__(self, *, config: XBeeHostConfig | None = None) -> None:
+    Parameters
+    ----------
+    first_handle
+        Where frame ids and allotted addresses begin: anywhere else than in an earlier process.
+    """
+
+    def __init__(self, *, config: XBeeHostConfig | None = None, first_handle: int = 0) -> None:
         self.faults: Counter[str] = Counter()
         self._config = config or XBeeHostConfig()
         self._opening: Opening | None = None
@@ -94,12 +105,13 @@ class XBeeHost:
         self._is_escaped = True
         self._decoder: FrameDecoder = make_decoder(is_escaped=True)
         self._frames: list[bytes] = []
-        self._sendings = Sendings()
+        self._sendings = Sendings(first_id=first_handle)
         self._unreachable: list[int] = []
         """Tickets of payloads for addresses that nobody can have, not yet settled."""
-        self._table = AddressTable()
+        self._table = AddressTable(first_allotted=first_handle)
         self._next_receipt = 1
         self._ask_at_ns: int | None = None
+        self._asked_ns = self._check_at_ns = 0
         self._n_strikes = 0
         self._said_delivery = 0
         """Delivery status that the log was last told of: a fault that goes on is told once."""
@@ -142,13 +154,14 @@ class XBeeHost:
         if len(payload) > MAX_RADIO_PAYLOAD:
             raise EncodeError(field="radio payload size", value=len(payload), limit=f"at most {MAX_RADIO_PAYLOAD} bytes")
         ticket = self._sendings.queue(destination=destination, payload=payload, is_urgent=is_urgent)
-        if self._is_open:
-            self._launch(now_ns)
+        self._launch(now_ns)
         return ticket
 
     def forget(self, ticket: int) -> None:
         """Wait no more for what became of a payload; one that was not written yet is not sent."""
         self._sendings.forget(ticket)
+        if ticket in self._unreachable:
+            self._unreachable.remove(ticket)
 
     def confirm(self, receipt: int) -> None:
         """Do nothing: the dialect has no acknowledgement towards the module."""
@@ -161,7 +174,7 @@ class XBeeHost:
     def next_deadline_ns(self) -> int | None:
         """Return when ``handle_deadline`` must be called."""
         opening_ns = None if self._opening is None else self._opening.deadline_ns
-        status_ns = self._sendings.next_deadline_ns()
+        status_ns = self._sendings.next_deadline_ns() if self._is_open else None
         unreachable_ns = 0 if self._unreachable else None
         return min((at for at in (opening_ns, self._ask_at_ns, status_ns, unreachable_ns) if at is not None), default=None)
 
@@ -169,19 +182,22 @@ class XBeeHost:
         """Ask again, or give the module up."""
         if self._opening is not None:
             return self._opening.handle_deadline(now_ns=now_ns) + self._follow(self._opening, now_ns)
+        if not self._is_open:
+            return []
         events: list[HostEvent] = []
         for ticket in self._sendings.give_up(now_ns=now_ns):
             self.faults["xbee.status_missing"] += 1
             events.append(SendSettled(ticket=ticket, status=RadioStatus.OTHER))
-        if self._is_open:
-            self._launch(now_ns)
-            events += self._settle_unreachable()
-            if self._ask_at_ns is not None and now_ns >= self._ask_at_ns:
-                if self._n_strikes >= self._config.max_strikes:
-                    return [*events, self._lose(LostWhy.NO_ANSWER, f"the XBee does not answer, asked {self._n_strikes} times")]
-                self._n_strikes += 1
-                self._write(AtCommand(frame_id=AT_FRAME_ID, command="AI"))
-                self._ask_at_ns = now_ns + self._config.strike_ns
+        self._launch(now_ns)
+        events += self._settle_unreachable()
+        if self._ask_at_ns is not None and now_ns >= self._ask_at_ns:
+            if self._n_strikes >= self._config.max_strikes:
+                return [*events, self._lose(LostWhy.NO_ANSWER, f"the XBee does not answer, asked {self._n_strikes} times")]
+            self._n_strikes += 1
+            self._write(AtCommand(frame_id=AT_FRAME_ID, command="AI"))
+            self._asked_ns = now_ns
+            self._check_at_ns = now_ns + self._config.check_ns
+            self._ask_at_ns = now_ns + self._config.strike_ns
         return events
 
     def _follow(self, opening: Opening, now_ns: int) -> list[HostEvent]:
@@ -199,7 +215,9 @@ class XBeeHost:
         self._opening = None
         self._is_open = True
         self._said_delivery = 0
+        self._asked_ns, self._check_at_ns = now_ns, now_ns + self._config.check_ns
         self._heard(now_ns)
+        self._table.has_short_addresses = has_short_addresses(opening.answers)
         events: list[HostEvent] = [HostOpened(), identify(opening.answers)]
         longest = opening.answers.number("NP", default=_DEFAULT_LONGEST)
         if longest < MAX_RADIO_PAYLOAD:
@@ -215,7 +233,7 @@ class XBeeHost:
             case Receive():
                 self._hear(frame, events)
             case TransmitStatus():
-                self._settle(frame, events)
+                self._settle(frame, events, now_ns)
                 self._launch(now_ns)
             case AtResponse():
                 self._take_answer(frame, events, now_ns)
@@ -241,16 +259,18 @@ class XBeeHost:
         events.append(PayloadHeard(received=received, receipt=self._next_receipt))
         self._next_receipt += 1
 
-    def _settle(self, status: TransmitStatus, events: list[HostEvent]) -> None:
-        sending = self._sendings.settle(status.frame_id)
-        if sending is None:
+    def _settle(self, status: TransmitStatus, events: list[HostEvent], now_ns: int) -> None:
+        settled = self._sendings.settle(status.frame_id)
+        if status.delivery == NO_NETWORK:
+            self._ask_soon(now_ns)
+        if settled is None:
             self.faults["radio.unexpected_confirms"] += 1
             return
         delivery = DELIVERY.get(status.delivery)
         outcome = RadioStatus.OTHER if delivery is None else delivery.outcome
-        where = self._table.destination(sending.destination)
-        if outcome is RadioStatus.SENT and sending.destination != BROADCAST_ADDRESS and where is not None:
-            self._table.learn(eui64=where[0], address16=status.destination16)
+        sending, eui64 = settled
+        if outcome is RadioStatus.SENT:
+            self._table.learn(eui64=eui64, address16=status.destination16)  # of the node that it was for, whose the address may not be now
         if delivery is None or status.delivery in OF_MODULE:
             if self._said_delivery != status.delivery:
                 text = "delivery status that is not known here" if delivery is None else delivery.text
@@ -279,15 +299,17 @@ class XBeeHost:
             events += self._follow(self._opening, now_ns)
         elif self._is_open and event.status in RESTARTS:
             events.append(self._lose(LostWhy.RESTARTED, text))
+        elif event.status in MAY_HAVE_NO_NETWORK:
+            self._ask_soon(now_ns)
 
     def _launch(self, now_ns: int) -> None:
         """Write what may be in flight. Of what goes to an address that nobody can have, nothing is."""
-        for frame_id, sending in self._sendings.launch(now_ns=now_ns):
+        while self._is_open and (sending := self._sendings.take()) is not None:
             where = self._table.destination(sending.destination)
             if where is None:
-                self._sendings.settle(frame_id)
                 self._unreachable.append(sending.ticket)
                 continue
+            frame_id = self._sendings.launch(sending, eui64=where[0], now_ns=now_ns)
             request = TransmitRequest(
                 frame_id=frame_id, destination64=where[0], destination16=where[1], payload=sending.payload, endpoints=self._config.endpoints
             )
@@ -303,7 +325,13 @@ class XBeeHost:
 
     def _heard(self, now_ns: int) -> None:
         self._n_strikes = 0
-        self._ask_at_ns = now_ns + self._config.keepalive_ns
+        self._ask_at_ns = min(now_ns + self._config.keepalive_ns, self._check_at_ns)
+
+    def _ask_soon(self, now_ns: int) -> None:
+        """Ask for the network at the next deadline, where it was not asked just now: frames that are heard do not put it off."""
+        self._check_at_ns = min(self._check_at_ns, max(now_ns, self._asked_ns + self._config.strike_ns))
+        if self._ask_at_ns is not None:
+            self._ask_at_ns = min(self._ask_at_ns, self._check_at_ns)
 
     def _lose(self, why: LostWhy, detail: str) -> HostLost:
         self._close()
@@ -318,6 +346,11 @@ class XBeeHost:
         self._frames.clear()
         self._ask_at_ns = None
         self._n_strikes = 0
+
+
+def has_short_addresses(answers: Answers) -> bool:
+    """Return whether the protocol of a module's network has them: ZigBee does, which ``OI`` tells, and 802.15.4 where ``MY`` is one."""
+    return "OI" in answers.values or answers.number("MY", default=UNKNOWN16) < UNKNOWN16
 
 
 def identify(answers: Answers) -> CoordinatorIdentified:

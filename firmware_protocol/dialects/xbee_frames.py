@@ -14,6 +14,8 @@ from firmware_protocol.errors import EncodeError
 BROADCAST64 = 0xFFFF
 """64-bit destination that stands for all."""
 UNKNOWN64 = 0xFFFF_FFFF_FFFF_FFFF
+COORDINATOR64 = 0
+"""What a ZigBee network calls its coordinator, whichever that is."""
 UNKNOWN16 = 0xFFFE
 """16-bit address that is not known, or that the module's protocol does not have (DigiMesh)."""
 

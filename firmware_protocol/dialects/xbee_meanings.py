@@ -54,7 +54,9 @@ OUTCOME = {
 }
 """The other way round: the delivery status that a module would give."""
 
-OF_MODULE = frozenset({0x22, 0x2D, 0x2E, 0x31, 0x34, 0x35, 0x74, 0xBB})
+NO_NETWORK = 0x22
+
+OF_MODULE = frozenset({NO_NETWORK, 0x2D, 0x2E, 0x31, 0x34, 0x35, 0x74, 0xBB})
 """Delivery statuses that tell of the module or its settings, rather than of one biobot."""
 
 ASSOCIATION = {
@@ -89,6 +91,8 @@ WATCHDOG_RESET = 0x01
 COORDINATOR_STARTED = 0x06
 RESTARTS = frozenset({HARDWARE_RESET, WATCHDOG_RESET, COORDINATOR_STARTED})
 """Events after which the module must be opened again."""
+MAY_HAVE_NO_NETWORK = frozenset({0x03, 0x3F, 0x40})
+"""Events after which it is to be asked at once whether it has its network."""
 
 
 class Happening(NamedTuple):

@@ -1,16 +1,14 @@
 """Payloads on their way into an XBee's radio: a queue, a few in flight by frame id, and who is waiting for what (WIRE_FORMAT.md §8.5)."""
 
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from firmware_protocol.errors import LinkFullError
 from firmware_protocol.units import NS_PER_S, ShortAddress
 
 WINDOW = 4
-"""Transmit requests without a status: a module has few buffers, and an urgent payload must not wait behind many."""
-URGENT_EXTRA = 2
-"""More that an urgent payload may be in flight."""
+"""Transmit requests without a status: a module has few buffers. An urgent payload waits for no window, because those in flight may be for
+biobots that are out of reach, whose statuses take seconds; a module that has no room for it says so."""
 MAX_QUEUE = 256
 STATUS_PATIENCE_NS = 15 * NS_PER_S
 """After this a status will not come: longer than a module takes for address discovery, route discovery and three tries."""
@@ -34,19 +32,26 @@ class Sending:
 class _InFlight:
     sending: Sending
     until_ns: int
+    eui64: int
     is_forgotten: bool = False
 
 
 class Sendings:
-    """See the module."""
+    """See the module. A frame id in flight stays taken over a new opening: the module may still tell what became of it.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    first_id
+        Where frame ids begin: anywhere else than in an earlier process, so that a late status does not settle another payload.
+    """
+
+    def __init__(self, *, first_id: int = 0) -> None:
         self._urgent: deque[Sending] = deque()
         self._waiting: deque[Sending] = deque()
         self._in_flight: dict[int, _InFlight] = {}
         """By frame id, in the order of their deadlines."""
         self._next_ticket = 1
-        self._next_id = 0
+        self._next_id = first_id % _N_IDS
 
     def queue(self, *, destination: ShortAddress, payload: bytes, is_urgent: bool) -> int:
         """Take a payload; return its ticket.
@@ -64,17 +69,27 @@ class Sendings:
         (self._urgent if is_urgent else self._waiting).append(sending)
         return ticket
 
-    def launch(self, *, now_ns: int) -> Iterator[tuple[int, Sending]]:
-        """Yield what may go to the module now, with its frame id; what the caller cannot send, it settles at once."""
-        while (sending := self._next()) is not None:
-            frame_id = self._take_id()
-            self._in_flight[frame_id] = _InFlight(sending, now_ns + STATUS_PATIENCE_NS)
-            yield frame_id, sending
+    def take(self) -> Sending | None:
+        """Return the payload that may go to the module now, or None; the caller launches it, or settles it himself."""
+        n_flying = sum(not entry.is_forgotten for entry in self._in_flight.values())
+        if len(self._in_flight) >= _N_IDS:
+            return None
+        if self._urgent:
+            return self._urgent.popleft()
+        if self._waiting and n_flying < WINDOW:
+            return self._waiting.popleft()
+        return None
 
-    def settle(self, frame_id: int) -> Sending | None:
-        """Take the status of a frame id; return whose it is, or None where nobody waits for it."""
+    def launch(self, sending: Sending, *, eui64: int, now_ns: int) -> int:
+        """Note that a payload which was taken goes to the module, for the node of this 64-bit address; return its frame id."""
+        frame_id = self._take_id()
+        self._in_flight[frame_id] = _InFlight(sending, now_ns + STATUS_PATIENCE_NS, eui64)
+        return frame_id
+
+    def settle(self, frame_id: int) -> tuple[Sending, int] | None:
+        """Take the status of a frame id; return whose it is and the 64-bit address it was for, or None where nobody waits for it."""
         entry = self._in_flight.pop(frame_id, None)
-        return None if entry is None or entry.is_forgotten else entry.sending
+        return None if entry is None or entry.is_forgotten else (entry.sending, entry.eui64)
 
     def forget(self, ticket: int) -> None:
         """Wait no more for a ticket. In flight, its frame id stays taken until the status comes or is overdue, its place does not."""
@@ -98,23 +113,14 @@ class Sendings:
         return next((entry.until_ns for entry in self._in_flight.values()), None)
 
     def drop_all(self) -> tuple[int, ...]:
-        """Empty all; return the tickets that were waited for."""
+        """Forget all; return the tickets that were waited for."""
         flying = [entry.sending for entry in self._in_flight.values() if not entry.is_forgotten]
         tickets = tuple(sending.ticket for sending in (*flying, *self._urgent, *self._waiting))
-        self._in_flight.clear()
+        for entry in self._in_flight.values():
+            entry.is_forgotten = True
         self._urgent.clear()
         self._waiting.clear()
         return tickets
-
-    def _next(self) -> Sending | None:
-        n_flying = sum(not entry.is_forgotten for entry in self._in_flight.values())
-        if len(self._in_flight) >= _N_IDS:
-            return None
-        if self._urgent and n_flying < WINDOW + URGENT_EXTRA:
-            return self._urgent.popleft()
-        if self._waiting and not self._urgent and n_flying < WINDOW:
-            return self._waiting.popleft()
-        return None
 
     def _take_id(self) -> int:
         while self._next_id + _FIRST_ID in self._in_flight:

@@ -71,6 +71,8 @@ _OUTCOMES: dict[int, RadioStatus] = {
     ZnpStatus.NWK_UNKNOWN_DEVICE: RadioStatus.UNKNOWN_ADDRESS,
     ZnpStatus.MEMORY_ERROR: RadioStatus.QUEUE_FULL,
     ZnpStatus.BUFFER_FULL: RadioStatus.QUEUE_FULL,
+    ZnpStatus.MAC_MEMORY_ERROR: RadioStatus.QUEUE_FULL,
+    ZnpStatus.MAC_NO_RESOURCES: RadioStatus.QUEUE_FULL,
     ZnpStatus.APS_TABLE_FULL: RadioStatus.QUEUE_FULL,
     ZnpStatus.NWK_TABLE_FULL: RadioStatus.QUEUE_FULL,
     ZnpStatus.MAC_TRANSACTION_OVERFLOW: RadioStatus.QUEUE_FULL,
@@ -159,8 +161,8 @@ class ZnpHost:
         deadlines = [self._check_at_ns]
         if self._permit_at_ns is not None:
             deadlines.append(self._permit_at_ns)
-        if self._window.has_unsent:
-            deadlines.append(self._window.free_at_ns())
+        if self._window.has_unsent and (free_at_ns := self._window.free_at_ns()) is not None:
+            deadlines.append(free_at_ns)
         return min(deadlines)
 
     def handle_deadline(self, *, now_ns: int) -> list[HostEvent]:

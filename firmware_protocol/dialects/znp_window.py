@@ -14,7 +14,7 @@ WINDOW = 4
 
 _CONFIRM_NS = 12 * NS_PER_S
 """After so long a payload holds its place in the window no more; Z-Stack's own last word, that an indirect transmission has expired, comes
-after 8 s. Whose number comes round again is past being confirmed."""
+after 8 s. The number of one that nobody waits for is given to another payload only then."""
 
 _N_TRANSACTIONS = 256
 
@@ -34,11 +34,15 @@ class _Unconfirmed:
 
     ticket: int
     until_ns: int
+    is_forgotten: bool = False
 
 
 @dataclass(slots=True, kw_only=True)
 class SendWindow:
-    """See the module. Each payload gets a ticket; each that is written gets one of 256 transaction numbers, in turn."""
+    """See the module. Each payload gets a ticket; each that is written gets one of 256 transaction numbers, in turn, that is not in use.
+
+    A number is in use until its confirm comes, or, where nobody waits for that, until it is overdue: also over a new opening.
+    """
 
     next_transaction: int = 0
     _next_ticket: int = 1
@@ -72,22 +76,31 @@ class SendWindow:
         for queue in (self._urgent, self._unsent):
             for one in [one for one in queue if one.ticket == ticket]:
                 queue.remove(one)
-        for transaction in [number for number, one in self._unconfirmed.items() if one.ticket == ticket]:
-            del self._unconfirmed[transaction]
+        for sent in self._unconfirmed.values():
+            sent.is_forgotten |= sent.ticket == ticket
 
-    def free_at_ns(self) -> int:
-        """Return from when on ``take`` gives the payload that is next."""
-        if self._urgent or len(self._unconfirmed) < WINDOW:
-            return self._held_until_ns
-        places = sorted(one.until_ns for one in self._unconfirmed.values())
-        return max(self._held_until_ns, places[-WINDOW])
+    def free_at_ns(self) -> int | None:
+        """Return from when on ``take`` gives the payload that is next; None: not before one is settled or forgotten."""
+        free_at_ns = self._held_until_ns
+        if len(self._unconfirmed) >= _N_TRANSACTIONS:
+            numbers = [one.until_ns for one in self._unconfirmed.values() if one.is_forgotten]
+            if not numbers:
+                return None
+            free_at_ns = max(free_at_ns, min(numbers))
+        places = sorted(one.until_ns for one in self._unconfirmed.values() if not one.is_forgotten)
+        return free_at_ns if self._urgent or len(places) < WINDOW else max(free_at_ns, places[-WINDOW])
 
     def take(self, now_ns: int) -> tuple[int, Unsent] | None:
         """Return the payload to be written now and its transaction number, or None."""
         queue = self._urgent or self._unsent
-        if not queue or now_ns < self.free_at_ns():
+        free_at_ns = self.free_at_ns()
+        if not queue or free_at_ns is None or now_ns < free_at_ns:
             return None
         one = queue.popleft()
+        for number in [number for number, sent in self._unconfirmed.items() if sent.is_forgotten and sent.until_ns <= now_ns]:
+            del self._unconfirmed[number]
+        while self.next_transaction in self._unconfirmed:
+            self.next_transaction = (self.next_transaction + 1) % _N_TRANSACTIONS
         transaction = self.next_transaction
         self.next_transaction = (transaction + 1) % _N_TRANSACTIONS
         self._unconfirmed[transaction] = _Unconfirmed(one.ticket, now_ns + _CONFIRM_NS)
@@ -96,7 +109,7 @@ class SendWindow:
     def settle(self, transaction: int) -> int | None:
         """Return the ticket of a payload whose fate is told, and forget it; None where no payload has this number."""
         sent = self._unconfirmed.pop(transaction, None)
-        return None if sent is None else sent.ticket
+        return None if sent is None or sent.is_forgotten else sent.ticket
 
     def hold(self, until_ns: int) -> None:
         """Give nothing before ``until_ns``: the dongle has no room."""
@@ -104,8 +117,10 @@ class SendWindow:
 
     def drop_all(self) -> tuple[int, ...]:
         """Forget everything; return the tickets whose fate is not known."""
-        dropped = (*(one.ticket for one in self._unconfirmed.values()), *(one.ticket for one in (*self._urgent, *self._unsent)))
-        self._unconfirmed.clear()
+        waited_for = [one for one in self._unconfirmed.values() if not one.is_forgotten]
+        dropped = (*(one.ticket for one in waited_for), *(one.ticket for one in (*self._urgent, *self._unsent)))
+        for sent in waited_for:
+            sent.is_forgotten = True
         self._urgent.clear()
         self._unsent.clear()
         self._held_until_ns = 0

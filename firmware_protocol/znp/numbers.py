@@ -46,6 +46,8 @@ class ZnpStatus(IntEnum):
     NV_OPERATION_FAILED = 0x0A
     MEMORY_ERROR = 0x10
     BUFFER_FULL = 0x11
+    MAC_MEMORY_ERROR = 0x13
+    MAC_NO_RESOURCES = 0x1A
     APS_FAIL = 0xB1
     APS_TABLE_FULL = 0xB2
     APS_NO_ACK = 0xB7
