@@ -8,6 +8,9 @@ NodeId = NewType("NodeId", int)
 ShortAddress = NewType("ShortAddress", int)
 """16-bit ZigBee network address of a node, valid until it joins again."""
 
+LAST_NODE_ADDRESS = ShortAddress(0xFFF7)
+"""Largest short address of one node; those above are broadcast addresses or reserved (ZigBee specification 05-3474-21, 3.6.5)."""
+
 BootId = NewType("BootId", int)
 """Counts the starts of a backpack (16 bits on the wire) or names the start of a gateway (wall clock [s] when it began)."""
 

@@ -1,14 +1,14 @@
 """Drives the host of one coordinator dongle: opens its port, keeps the dongle open, and tries again for ever.
 
-One task a radio, isolated from the others. Upward, every radio payload is handed to ``on_radio`` and confirmed to the dongle
-in order, each when the future that ``on_radio`` returned is done. Downward, ``send`` gives each payload a future with what
-became of it; nothing is ever sent a second time from here.
+One task a radio, isolated from the others: whatever goes wrong with one, it is opened again, and the others go on. Upward, every
+radio payload is handed to ``on_radio`` and confirmed to the dongle in order, each when the future that ``on_radio`` returned is
+done. Downward, ``send`` gives each payload a future with what became of it; nothing is ever sent a second time from here.
 """
 
 import asyncio
 import random
 import time
-from collections import deque
+import traceback
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
@@ -26,13 +26,14 @@ from firmware_protocol.dialects.interface import (
 )
 from firmware_protocol.envelope import CoordinatorHello
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.units import NS_PER_S, ShortAddress
+from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, ShortAddress
 from gateway.config import LinkTable
 from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError
 from gateway.health import Health, RadioState
 from gateway.journal_file import SESSIONS_PER_START
 from gateway.log import EventLog
 from gateway.radio import Fate, RadioMessage, RadioOutcome, outcome_of
+from gateway.receipts import Receipts
 from gateway.transports.interface import Transport
 
 _log = EventLog(__name__)
@@ -40,15 +41,10 @@ _log = EventLog(__name__)
 _MAX_SENDINGS = 256
 """Payloads whose fate is not known; more are refused."""
 
+_STEADY_NS = 5 * NS_PER_S
+"""A session that lasted so long was a good one: the next opening is tried at once, or after the first pause."""
+
 _SAID = {0: _log.debug, 1: _log.info, 2: _log.warning, 3: _log.error}
-
-
-@dataclass(slots=True)
-class _Receipt:
-    """A payload from the dongle that waits for its confirmation."""
-
-    number: int
-    is_done: bool = False
 
 
 @dataclass(slots=True)
@@ -103,10 +99,13 @@ class Coordinator:
         self._wake = asyncio.Event()
         self._first_session = first_session
         self._n_sessions = 0
-        self._receipts: deque[_Receipt] = deque()
+        self._receipts = Receipts()
         self._sendings: dict[int, _Sending] = {}
         self._opening_until_ns = 0
-        self._has_opened = False
+        self._reopen_at_ns: int | None = None
+        self._reopen_pause_s = 0.0
+        self._opened_ns: int | None = None
+        self._was_steady = False
         self._down_since_ns: int | None = None
         self._n_attempts = 0
         health.set_radio(radio, RadioState.CONNECTING)
@@ -127,8 +126,10 @@ class Coordinator:
         Raises
         ------
         RadioUnavailableError
-            The radio is down, or its queue is full; nothing was sent.
+            The radio is down, its queue is full, or the address is none of one biobot; nothing was sent.
         """
+        if destination > LAST_NODE_ADDRESS:
+            raise RadioUnavailableError(radio=self.radio, reason=f"{destination:#06x} is no biobot's address: it would reach many, or none")
         if not self.is_up:
             raise RadioUnavailableError(radio=self.radio, reason="it is not connected")
         if len(self._sendings) >= _MAX_SENDINGS and not is_urgent:
@@ -148,7 +149,7 @@ class Coordinator:
         backoff_s = self._config.first_backoff_s
         while True:
             self._n_attempts += 1
-            self._has_opened = False
+            self._was_steady = False
             try:
                 transport = await self._open_port()
                 try:
@@ -157,7 +158,12 @@ class Coordinator:
                     await transport.aclose()
             except TransportError as error:
                 self._went_down(str(error))
-            if self._has_opened:
+            except Exception as error:  # noqa: BLE001  # one radio's fault must not end the gateway, which stops the other radios' animals
+                reason = f"{type(error).__name__}: {error}"
+                self._health.count("radio.broken")
+                _log.error("radio.broken", radio=self.radio, reason=reason, trace=traceback.format_exc())
+                self._went_down(reason)
+            if self._was_steady:
                 backoff_s = self._config.first_backoff_s
             await asyncio.sleep(backoff_s * random.uniform(0.5, 1.0))
             backoff_s = min(2 * backoff_s, self._config.max_backoff_s)
@@ -166,6 +172,7 @@ class Coordinator:
         """Keep the dongle open on an open port; ends with the ``TransportError`` that ended it."""
         self._host = self._make_host()
         self._is_held = True
+        self._reopen_pause_s = 0.0
         self._open_host()
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -179,11 +186,13 @@ class Coordinator:
             raise _first(group) from group
         finally:
             self._is_held = False
+            self._end_session()
             self._count_faults()
             self._give_up_sendings("the port was closed")
 
     def _open_host(self) -> None:
         self._receipts.clear()
+        self._reopen_at_ns = None
         now_ns = time.monotonic_ns()
         self._allow_opening(now_ns)
         self._take_events(self._host.open(session=self._new_session(), now_ns=now_ns))
@@ -207,7 +216,8 @@ class Coordinator:
 
     async def _write(self, transport: Transport) -> None:
         while True:
-            self._confirm()  # here, so that all payloads of one commit share one acknowledgement
+            if (safe := self._receipts.take_ready()) is not None:  # here, so that all payloads of one commit share one acknowledgement
+                self._host.confirm(safe)
             for frame in self._host.take_frames():
                 await transport.write(frame)
             deadline_ns = self._next_deadline_ns()
@@ -220,7 +230,7 @@ class Coordinator:
             self._wake.clear()
 
     def _next_deadline_ns(self) -> int | None:
-        deadlines = [self._host.next_deadline_ns()]
+        deadlines = [self._host.next_deadline_ns(), self._reopen_at_ns]
         if not self._host.is_open:
             deadlines.append(self._opening_until_ns)
         if self._sendings:
@@ -231,6 +241,8 @@ class Coordinator:
         now_ns = time.monotonic_ns()
         self._take_events(self._host.handle_deadline(now_ns=now_ns))
         self._count_faults()
+        if self._reopen_at_ns is not None and now_ns >= self._reopen_at_ns:
+            self._open_host()
         if not self._host.is_open and now_ns >= self._opening_until_ns:
             reason = f"no answer for {self._config.open_timeout_s:g} s; is it a coordinator of this dialect, at this baud rate?"
             raise TransportClosedError(name=transport.name, reason=reason)
@@ -241,7 +253,7 @@ class Coordinator:
             self._settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason="the dongle did not say what became of it"))
 
     def _take_events(self, events: list[HostEvent], *, received_ns: int = 0) -> None:
-        if events and not self._host.is_open:
+        if events and not self._host.is_open and self._reopen_at_ns is None:
             self._allow_opening(time.monotonic_ns())  # it is slow to open, and alive
         for event in events:
             match event:
@@ -261,8 +273,6 @@ class Coordinator:
                     self._lost(event)
 
     def _take_payload(self, heard: PayloadHeard, *, received_ns: int) -> None:
-        entry = _Receipt(heard.receipt)
-        self._receipts.append(entry)
         self._health.count("radio.messages_in")
         received = heard.received
         message = RadioMessage(
@@ -273,11 +283,19 @@ class Coordinator:
             payload=received.payload,
             received_ns=received_ns,
         )
-        waits_for = self._on_radio(message)
-        if waits_for is None or waits_for.done():
-            self._done(entry)
-        else:
-            waits_for.add_done_callback(lambda _: self._done(entry))
+        waited = self._receipts.add(heard.receipt, self._hand_up(message))
+        if waited is not None:
+            waited.add_done_callback(lambda _: self._wake.set())
+
+    def _hand_up(self, message: RadioMessage) -> "asyncio.Future[None] | None":
+        """Hand a payload up. One that the gateway fails at is no reason to keep the dongle repeating it, nor to give the dongle up."""
+        try:
+            return self._on_radio(message)
+        except Exception as error:  # noqa: BLE001  # whatever it is, it comes from this payload alone
+            self._health.count("message.broken")
+            reason = f"{type(error).__name__}: {error}"
+            _log.error("message.broken", radio=self.radio, payload=message.payload.hex(), reason=reason, trace=traceback.format_exc())
+            return None
 
     def _identified(self, event: CoordinatorIdentified) -> None:
         is_known, self.hello = event.hello == self.hello, event.hello
@@ -285,20 +303,8 @@ class Coordinator:
             pan, channel = f"{event.hello.pan_id:04x}", event.hello.channel
             _log.info("radio.identified", radio=self.radio, firmware=event.description, pan=pan, channel=channel)
 
-    def _done(self, entry: _Receipt) -> None:
-        entry.is_done = True
-        self._wake.set()
-
-    def _confirm(self) -> None:
-        """Confirm all receipts up to the first that is not done: confirming one confirms all before it."""
-        last = None
-        while self._receipts and self._receipts[0].is_done:
-            last = self._receipts.popleft().number
-        if last is not None:
-            self._host.confirm(last)
-
     def _came_up(self) -> None:
-        self._has_opened = True
+        self._opened_ns = time.monotonic_ns()
         self._n_sessions += 1
         self._receipts.clear()
         self._health.set_radio(self.radio, RadioState.UP)
@@ -327,9 +333,28 @@ class Coordinator:
             self._settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason=f"the dongle was lost ({lost.detail or lost.why.value})"))
         if lost.why is not LostWhy.RESTARTED:
             raise TransportClosedError(name=self.radio, reason=lost.detail or lost.why.value)
+        if self._reopen_at_ns is not None:
+            return
         self._give_up_sendings("the dongle restarted")
-        _log.warning("radio.restarted", radio=self.radio)
-        self._open_host()
+        is_steady = self._end_session()
+        self._reopen_pause_s = (
+            0.0 if is_steady else min(max(2 * self._reopen_pause_s, self._config.first_backoff_s), self._config.max_backoff_s)
+        )
+        _log.warning("radio.restarted", radio=self.radio, pause_s=self._reopen_pause_s)
+        if is_steady:
+            self._open_host()
+            return
+        # A dongle that starts again and again is not to be asked as fast as the line goes.
+        self._went_down(f"the dongle restarted within {_STEADY_NS // NS_PER_S} s")
+        self._reopen_at_ns = time.monotonic_ns() + int(self._reopen_pause_s * NS_PER_S)
+        self._opening_until_ns = self._reopen_at_ns + int(self._config.open_timeout_s * NS_PER_S)
+
+    def _end_session(self) -> bool:
+        """Take note that the session, if there was one, is over; return whether it was a good one."""
+        is_steady = self._opened_ns is not None and time.monotonic_ns() - self._opened_ns >= _STEADY_NS
+        self._was_steady |= is_steady
+        self._opened_ns = None
+        return is_steady
 
     def _count_faults(self) -> None:
         for name, count in self._host.faults.items():

@@ -1,6 +1,8 @@
 """Messages to biobots: finds the radio and the short address, and sends."""
 
 import asyncio
+import contextlib
+import time
 from collections.abc import Mapping
 
 from firmware_protocol.message_codec import encode_downlink
@@ -28,7 +30,7 @@ class DownlinkSender:
         Raises
         ------
         RadioUnavailableError
-            The biobot was never heard of, or its radio takes nothing now; nothing was sent.
+            The biobot was never heard of, another has its address now, or its radio takes nothing now; nothing was sent.
         """
         known = self._nodes.find(node)
         coordinator = None if known is None else self._coordinators.get(known.radio)
@@ -37,10 +39,40 @@ class DownlinkSender:
                 "it was never heard of" if known is None else f"it was last heard by {known.radio}, which is no port of this gateway now"
             )
             raise RadioUnavailableError(radio=f"of biobot {node}", reason=reason)
-        payload = encode_downlink(self._sequence, message)
-        future = coordinator.send(destination=known.address, payload=payload, is_urgent=is_urgent)
+        if known.address is None:
+            raise RadioUnavailableError(
+                radio=f"of biobot {node}", reason="its short address is another biobot's now; it is reached again when it is next heard"
+            )
+        future = coordinator.send(destination=known.address, payload=encode_downlink(self._sequence, message), is_urgent=is_urgent)
         self._sequence = (self._sequence + 1) % _SEQUENCE_MODULUS
         return future
+
+    def send_everywhere(self, node: NodeId, message: Downlink) -> "list[asyncio.Future[RadioOutcome]]":
+        """Send an urgent message over the radio that heard a biobot last, and over each other one that heard it within the last minutes.
+
+        Raises
+        ------
+        RadioUnavailableError
+            As of ``send``, where no radio took it.
+        """
+        futures: list[asyncio.Future[RadioOutcome]] = []
+        refusal: RadioUnavailableError | None = None
+        try:
+            futures.append(self.send(node, message, is_urgent=True))
+        except RadioUnavailableError as error:
+            refusal = error
+        known = self._nodes.find(node)
+        for place in self._nodes.places_of(node, now_ns=time.monotonic_ns()):
+            coordinator = self._coordinators.get(place.radio)
+            if coordinator is None or known is None or (place.radio, place.address) == (known.radio, known.address):
+                continue
+            with contextlib.suppress(RadioUnavailableError):
+                payload = encode_downlink(self._sequence, message)
+                futures.append(coordinator.send(destination=place.address, payload=payload, is_urgent=True))
+                self._sequence = (self._sequence + 1) % _SEQUENCE_MODULUS
+        if refusal is not None and not futures:
+            raise refusal
+        return futures
 
     def n_pending(self, node: NodeId) -> int:
         """Return how many payloads wait for their fate at the radio of a biobot."""

@@ -20,6 +20,9 @@ _HELLO_PAUSE_NS = 2 * NS_PER_S
 _SILENT_AFTER_NS = 120 * NS_PER_S
 """A biobot that was not heard for so long is not asked: it is out of range, and asking costs air time."""
 
+_MAX_ROUSED = 3
+"""So often is a biobot asked that an earlier process knew and this one has not heard yet."""
+
 _MAX_PENDING = 4
 """Nothing is asked while this many payloads are under way at the radio: a request that waits in a queue says less about the clock."""
 
@@ -36,6 +39,8 @@ class Inquirer:
         self._asked_hello_ns: dict[NodeId, int] = {}
         self._wake = asyncio.Event()
         self._asked_time: dict[NodeId, tuple[int, int]] = {}
+        self._roused: dict[NodeId, tuple[int, int]] = {}
+        """How often, and when last, biobots were asked that were not heard since the gateway started."""
 
     def wake(self) -> None:
         """Look again at once: a backpack was heard whose clock is not known."""
@@ -47,12 +52,26 @@ class Inquirer:
             now_ns = time.monotonic_ns()
             # Those that wait longest come first, so that a crowd that starts together is asked in turn.
             for node in sorted(self._nodes.all(), key=lambda node: self._asked_time.get(node.node, (0, 0))[1]):
-                if node.last_heard_ns >= now_ns - _SILENT_AFTER_NS and self._sender.n_pending(node.node) < _MAX_PENDING:
+                if self._sender.n_pending(node.node) >= _MAX_PENDING:
+                    continue
+                if not node.last_heard_ns:
+                    self._rouse(node, now_ns)
+                elif node.last_heard_ns >= now_ns - _SILENT_AFTER_NS:
                     self._ask(node, now_ns)
             self._wake.clear()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_POLL_S):
                     await self._wake.wait()
+
+    def _rouse(self, node: Node, now_ns: int) -> None:
+        """Ask a biobot of an earlier process for its hello: until it is heard, its address may be another's."""
+        n_asked, asked_ns = self._roused.get(node.node, (0, 0))
+        if node.address is None or n_asked >= _MAX_ROUSED or asked_ns > now_ns - _HELLO_PAUSE_NS:
+            return
+        with contextlib.suppress(RadioUnavailableError):  # its radio is not up yet, or no longer there
+            self._sender.send(node.node, HelloRequest())
+            self._roused[node.node] = (n_asked + 1, now_ns)
+            self._health.count("inquiry.hello")
 
     def _ask(self, node: Node, now_ns: int) -> None:
         boot, asked_ns = self._asked_time.get(node.node, (-1, 0))

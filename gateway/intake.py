@@ -33,7 +33,7 @@ from firmware_protocol.messages import (
     Uplink,
     UplinkHeader,
 )
-from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, NodeId
+from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, BootId, Milliseconds, NodeId
 from gateway.clocks import ClockBook, NodeClock
 from gateway.encounters import EncounterMerger, SideReport, margin_of
 from gateway.health import Health
@@ -109,6 +109,8 @@ class Intake:
         self._modes = ModeTracker(issuer=issuer)
         self._lives: dict[NodeId, OrderedDict[BootId, _Life]] = {}
         self._listeners: IntakeListeners | None = None
+        self._repeaters: tuple[asyncio.Future[None], set[NodeId]] | None = None
+        """Who repeated something while a group of writes waits for the disk: told once when it is there, however often it was said."""
         self._restore()
 
     def connect(self, listeners: IntakeListeners) -> None:
@@ -130,6 +132,10 @@ class Intake:
             self._health.count(f"message.{decoded.value}")
             return None
         header, uplink = decoded
+        if message.source > LAST_NODE_ADDRESS:
+            # Nobody's address: what is sent there reaches many or none. Not acknowledged, so it comes again from where it can be answered.
+            self._health.count("message.impossible_source")
+            return None
         if header.node == BROADCAST_NODE or self._journal.is_full:
             # Not acknowledged to the backpack, so it repeats what was dropped for want of room.
             self._health.count("message.nobodys" if header.node == BROADCAST_NODE else "message.no_room")
@@ -151,13 +157,11 @@ class Intake:
         number = life.received.unwrap(header.sequence)
         if life.received.has(number):
             self._health.count("message.repeated")
-            done = self._journal.barrier()
-            done.add_done_callback(lambda _: self._listeners_or_fail().on_committed(header.node))
-            return done
+            return self._tell_again(header.node)
         life.received.add(number)
         self._health.count(f"message.{type(uplink).__name__.lower()}")
         records, tell = self._digest(uplink, header=header, node=node, clock=clock, number=number)
-        if isinstance(uplink, Hello | Limits):
+        if isinstance(uplink, Hello | Limits) and header.boot == node.boot:
             is_changed = True
         write = JournalWrite(
             records=records,
@@ -186,12 +190,30 @@ class Intake:
             self._merger.forget_before(self._horizon_ns)
         self._health.set_level("encounters.in_memory", len(self._merger))
 
+    def _tell_again(self, node: NodeId) -> "asyncio.Future[None]":
+        """Have a biobot that repeated something told once more, when all that came before is on disk; the future is done then."""
+        barrier = self._journal.barrier()
+        if self._repeaters is not None and self._repeaters[0] is barrier and not barrier.done():
+            self._repeaters[1].add(node)
+            return barrier
+        nodes = {node}
+        self._repeaters = (barrier, nodes)
+
+        def tell(_: "asyncio.Future[None]") -> None:
+            for one in sorted(nodes):
+                self._listeners_or_fail().on_committed(one)
+
+        barrier.add_done_callback(tell)
+        return barrier
+
     def _must_wait(self, clock: NodeClock, *, now_ns: int) -> bool:
         return not clock.is_settled and now_ns - clock.first_ns < _CLOCK_PATIENCE_NS
 
     def _restore(self) -> None:
         self._nodes.restore(msgspec.msgpack.decode(body, type=NodeMemory) for body in self._reader.read_nodes())
-        for node, boot, next_number, above in self._reader.read_windows():
+        windows = self._reader.read_windows()
+        self._nodes.restore_earlier_boots((node, boot) for node, boot, _, _ in windows)
+        for node, boot, next_number, above in windows:
             life = self._life(node, boot)
             for window in (life.received, life.committed):
                 window.next, window.is_fresh = next_number, False
@@ -221,8 +243,9 @@ class Intake:
         life = lives.get(boot)
         if life is None:
             life = lives[boot] = _Life()
+            known = self._nodes.find(node)
             while len(lives) > _MAX_BOOTS:
-                lives.popitem(last=False)
+                del lives[next(old for old in lives if known is None or old != known.boot)]
         return life
 
     def _note(self, message: RadioMessage, header: UplinkHeader) -> tuple[Node, bool]:
@@ -233,6 +256,7 @@ class Intake:
             address=message.source,
             rssi_dbm=message.rssi_dbm,
             lqi=message.lqi,
+            sent_ms=header.sent_ms,
             now_ns=message.received_ns,
             now_wall_ns=self._issuer.to_wall_ns(message.received_ns),
         )
@@ -240,14 +264,19 @@ class Intake:
     def _digest(
         self, uplink: Uplink, *, header: UplinkHeader, node: Node, clock: NodeClock, number: int
     ) -> tuple[tuple[JournalRecord, ...], Callable[[IntakeListeners], None] | None]:
-        """Return the records that a message brings about, and whom to tell of it after the commit."""
+        """Return the records that a message brings about, and whom to tell of it after the commit.
+
+        A message of a life that is over makes records, but says nothing of the biobot as it is now.
+        """
         match uplink:
+            case Hello() | Limits() | Neighbours() | ConfigurationReport() if header.boot != node.boot:
+                return (), None
             case Hello() | Limits() | Diagnostic() | ConfigurationReport():
                 return (), self._hear(uplink, node=node, number=number)
             case EncounterBatch(entries=entries) | EncounterBatchWithPaths(entries=entries):
                 return tuple(record for entry in entries for record in self._merge(entry, header=header, node=node, clock=clock)), None
             case Status():
-                is_newest = self._nodes.take_status(node, uplink, number=number)
+                is_newest = header.boot == node.boot and self._nodes.take_status(node, uplink, number=number)
                 report = self._mode_report(uplink, header=header, clock=clock)
                 records = () if report is None else tuple(self._modes.observe(report))
                 return records, self._tell_status(node) if is_newest else None

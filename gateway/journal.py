@@ -31,7 +31,9 @@ MAX_GROUP = 256
 """Writes committed together."""
 
 MAX_WAITING = 65_536
-"""Writes that may wait for the disk. Radios stall at 16 unconfirmed payloads each, so only a flood of commands comes near."""
+"""Writes that may wait for the disk. A native dongle stalls at 16 unconfirmed payloads; XBee and Z-Stack take no confirmation and never
+stall, but a backpack has at most 33 messages outstanding, and a repetition is no write. So it takes a flood of commands, or two thousand
+biobots, to come near."""
 
 _UNSTORABLE = (OverflowError, TypeError, ValueError, sqlite3.IntegrityError, sqlite3.DataError)
 """What a write raises that can never be stored. Every other error of SQLite is the disk's, and is waited out."""

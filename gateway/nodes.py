@@ -1,5 +1,6 @@
 """What is known of every biobot: who it is, how it is reached, how it fares. Pure; at most 65,535 of them, by their number."""
 
+from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -25,8 +26,9 @@ from firmware_protocol.messages import (
     WireCause,
     WireMode,
 )
-from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.radio import strongest
+from gateway.whereabouts import Place, Whereabouts
 
 _PENDING_PARTS = 33
 """A neighbour report cannot have more parts under way than a backpack has messages outstanding (WIRE_FORMAT.md §5.1)."""
@@ -35,6 +37,14 @@ _PENDING_PARTS = 33
 _MAX_DUPLICATES = 1024
 """Pairs of devices under one number that are told of; a flood of made-up ones is not."""
 
+_MAX_EARLIER_BOOTS = 16
+
+_SET_BACK_NS = 60 * NS_PER_S
+"""A count of starts that is smaller than before is believed after so long a silence of the larger one: then it was set back, as by
+writing a backpack's memory anew, and is not an old message from a dongle's queue."""
+
+_N_BOOTS = 1 << 16
+
 
 class NodeMemory(msgspec.Struct, frozen=True, kw_only=True):
     """What of a biobot outlives the gateway's process."""
@@ -42,7 +52,7 @@ class NodeMemory(msgspec.Struct, frozen=True, kw_only=True):
     node: NodeId
     boot: BootId
     radio: str
-    address: ShortAddress
+    address: ShortAddress | None
     eui64: int
     firmware: int
     beacon_period_ms: int
@@ -54,12 +64,14 @@ class NodeMemory(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(slots=True, kw_only=True)
 class Node:
-    """A biobot as last heard. ``is_introduced``: its hello of this boot has come."""
+    """A biobot as last heard. ``is_introduced``: its hello of this boot has come. ``address``: None where another biobot has it now."""
 
     node: NodeId
     boot: BootId
     radio: str
-    address: ShortAddress
+    address: ShortAddress | None
+    sent_ms: Milliseconds
+    """Latest tick of this boot at which it is known to have sent."""
     last_heard_wall_ns: Nanoseconds
     last_heard_ns: int
     rssi_dbm: RssiDbm
@@ -79,6 +91,8 @@ class Node:
     configuration: ConfigurationReport | None = None
     """As last told in this boot, and the unwrapped number of the message."""
     configuration_number: int | None = None
+    earlier_boots: OrderedDict[BootId, None] = field(default_factory=OrderedDict)
+    """Lives that are over, the latest last."""
 
     def memory(self) -> NodeMemory:
         """Return what is to be kept of it over a restart."""
@@ -103,6 +117,7 @@ class NodeBook:
     gateway: str
     _nodes: dict[NodeId, Node] = field(default_factory=dict)
     _duplicates: set[tuple[NodeId, int, int]] = field(default_factory=set)
+    _whereabouts: Whereabouts = field(default_factory=Whereabouts)
 
     def heard(
         self,
@@ -113,17 +128,33 @@ class NodeBook:
         address: ShortAddress,
         rssi_dbm: RssiDbm,
         lqi: int,
+        sent_ms: Milliseconds,
         now_ns: int,
         now_wall_ns: Nanoseconds,
     ) -> tuple[Node, bool]:
-        """Take note of any message from a biobot; return it, and whether what ``memory`` keeps has changed."""
+        """Take note of any message from a biobot; return it, and whether what ``memory`` keeps has changed.
+
+        A message that is older than another one that came before it, from a queue of a dongle that was away, changes nothing: the biobot is
+        where it was heard since, and in the life that it was heard of since. Its boot is then not the node's.
+
+        Parameters
+        ----------
+        sent_ms
+            Tick of that boot at which the radio took this copy of the message.
+        """
         known = self._nodes.get(node)
+        place = Place(radio=radio, address=address, heard_ns=now_ns)
+        if known is not None and (known.sent_ms > sent_ms if known.boot == boot else not _is_later_life(known, boot, now_ns=now_ns)):
+            self._whereabouts.suspect(node, place)
+            return known, False
+        self._move(node, place)
         if known is None:
             known = self._nodes[node] = Node(
                 node=node,
                 boot=boot,
                 radio=radio,
                 address=address,
+                sent_ms=sent_ms,
                 last_heard_wall_ns=now_wall_ns,
                 last_heard_ns=now_ns,
                 rssi_dbm=rssi_dbm,
@@ -136,8 +167,8 @@ class NodeBook:
             known.parts.clear()
             known.status_number = known.neighbours_number = known.configuration_number = None
             known.configuration = None
-            known.boot = boot
-        known.radio, known.address = radio, address
+            _begin_life(known, boot)
+        known.radio, known.address, known.sent_ms = radio, address, sent_ms
         known.last_heard_ns, known.last_heard_wall_ns = now_ns, now_wall_ns
         known.rssi_dbm, known.lqi = rssi_dbm, lqi
         return known, has_changed
@@ -145,6 +176,10 @@ class NodeBook:
     def find(self, node: NodeId) -> Node | None:
         """Return a biobot, or None where it was never heard of."""
         return self._nodes.get(node)
+
+    def places_of(self, node: NodeId, *, now_ns: int) -> list[Place]:
+        """Return where a biobot was heard within the last minutes, one place at each radio, the latest first."""
+        return self._whereabouts.recent(node, now_ns=now_ns)
 
     def all(self) -> list[Node]:
         """Return all biobots, by number."""
@@ -248,13 +283,22 @@ class NodeBook:
         }
 
     def restore(self, memories: Iterable[NodeMemory]) -> None:
-        """Know again the biobots of an earlier process; they count as not heard since."""
-        for memory in memories:
+        """Know again the biobots of an earlier process; they count as not heard since. An address that two of them had is none's."""
+        kept = list(memories)
+        believed = self._whereabouts.restore(
+            [
+                (memory.node, Place(radio=memory.radio, address=memory.address, heard_ns=0))
+                for memory in kept
+                if memory.address is not None and memory.address <= LAST_NODE_ADDRESS
+            ]
+        )
+        for memory in kept:
             self._nodes[memory.node] = Node(
                 node=memory.node,
                 boot=memory.boot,
                 radio=memory.radio,
-                address=memory.address,
+                address=memory.address if memory.node in believed else None,
+                sent_ms=Milliseconds(0),
                 last_heard_wall_ns=Nanoseconds(0),
                 last_heard_ns=0,
                 rssi_dbm=RssiDbm(0),
@@ -266,6 +310,37 @@ class NodeBook:
                 capabilities=memory.capabilities,
                 limits=memory.limits,
             )
+
+    def restore_earlier_boots(self, lives: Iterable[tuple[NodeId, BootId]]) -> None:
+        """Know again which lives of the biobots are over: all but the one that each had last."""
+        for node, boot in lives:
+            known = self._nodes.get(node)
+            if known is not None and known.boot != boot:
+                known.earlier_boots[boot] = None
+
+    def _move(self, node: NodeId, place: Place) -> None:
+        """Let a biobot be at a place; whoever had that address is not reached under it any more."""
+        before = self._whereabouts.move(node, place)
+        former = None if before is None else self._nodes.get(before)
+        if former is not None and (former.radio, former.address) == (place.radio, place.address):
+            former.address = None
+
+
+def _is_later_life(known: Node, boot: BootId, *, now_ns: int) -> bool:
+    """Whether a boot other than the one known is a later one. One that is known to be over is never taken for the present one again."""
+    if (boot - known.boot) % _N_BOOTS < _N_BOOTS // 2:
+        return True
+    return boot not in known.earlier_boots and known.last_heard_ns < now_ns - _SET_BACK_NS
+
+
+def _begin_life(known: Node, boot: BootId) -> None:
+    if boot in known.earlier_boots:
+        known.earlier_boots.clear()  # it was not over, so what was taken for later may have been older
+    else:
+        known.earlier_boots[known.boot] = None
+        while len(known.earlier_boots) > _MAX_EARLIER_BOOTS:
+            known.earlier_boots.popitem(last=False)
+    known.boot = boot
 
 
 def configuration_of(report: ConfigurationReport) -> BackpackConfiguration:

@@ -45,7 +45,10 @@ class RadioOutcome:
 
 
 def outcome_of(status: int) -> RadioOutcome:
-    """Return what a RadioConfirm says; an unknown status says nothing."""
+    """Return what a RadioConfirm says; an unknown status says nothing.
+
+    A busy channel is no proof that nothing went out: it may have been met by a repetition, after a copy whose acknowledgement was lost.
+    """
     try:
         known = RadioStatus(status)
     except ValueError:
@@ -54,6 +57,8 @@ def outcome_of(status: int) -> RadioOutcome:
         return RadioOutcome(fate=Fate.SENT)
     if known is RadioStatus.NO_ACK:
         return RadioOutcome(fate=Fate.NO_ACK, reason="no acknowledgement from the biobot's radio")
+    if known is RadioStatus.CHANNEL_BUSY:
+        return RadioOutcome(fate=Fate.UNKNOWN, reason="the channel was busy; an earlier copy may have gone out")
     if known is RadioStatus.OTHER:
         return RadioOutcome(fate=Fate.UNKNOWN, reason="the radio reports an unnamed fault")
     return RadioOutcome(fate=Fate.NOT_SENT, reason=known.name.lower())

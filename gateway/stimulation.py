@@ -34,7 +34,7 @@ from gateway.health import Health
 from gateway.journal import Journal
 from gateway.journal_file import AuditEntry, JournalReader, JournalWrite
 from gateway.log import EventLog
-from gateway.nodes import NodeBook, mode_of
+from gateway.nodes import Node, NodeBook, mode_of
 from gateway.pulse_limits import WAVEFORMS, pulse_refusal
 from gateway.radio import Fate, RadioOutcome
 from gateway.train_ledger import TrainLedger
@@ -179,23 +179,23 @@ class StimulationGate:
         was_sent = False
         reason = ""
         for attempt in range(self._config.stop_attempts):
-            sending: asyncio.Future[RadioOutcome] | None = None
-            train_ms = 0
+            sendings: list[asyncio.Future[RadioOutcome]] = []
             try:
-                sending = self._sender.send(command.request.node, message, is_urgent=True)
+                sendings = self._sender.send_everywhere(command.request.node, message)
                 was_sent = True
-                # Firmware that stops by a train gives one for each frame: it is never refused, but what follows it waits.
-                train_ms = self._config.duration_ms
-                self._ledger.admit(command.request.node, train_ms=train_ms, at_ns=time.monotonic_ns())
             except RadioUnavailableError as error:
                 reason = str(error)
+            # Firmware that stops by a train gives one for each frame: it is never refused, but what follows it waits.
+            train_ms = self._config.duration_ms
+            for _ in sendings:
+                self._ledger.admit(command.request.node, train_ms=train_ms, at_ns=time.monotonic_ns())
             if attempt == 0:
-                self._tell_now(command, Stage.ACCEPTED, train_ms=train_ms)
+                self._tell_now(command, Stage.ACCEPTED, train_ms=train_ms if sendings else 0)
             else:
                 self._health.count("command.stop_repeated")
-                if train_ms:
-                    self._audit(command, command.stages[0], train_ms=train_ms, row=_SENT_AGAIN)
-            if await self._await_answer(command, sending, timeout_s=self._config.stop_retry_s, is_stop=True):
+            for _ in sendings[1:] if attempt == 0 else sendings:
+                self._audit(command, command.stages[0], train_ms=train_ms, row=_SENT_AGAIN)
+            if await self._await_answer(command, sendings, timeout_s=self._config.stop_retry_s, is_stop=True):
                 return
         if was_sent:
             self._tell_now(command, Stage.UNKNOWN, reason=f"no answer to {self._config.stop_attempts} stops; look at the animal")
@@ -219,24 +219,26 @@ class StimulationGate:
         except RadioUnavailableError as error:
             await self._tell(command, Stage.REFUSED, reason=str(error))
             return
-        if not await self._await_answer(command, sending, timeout_s=self._config.reply_timeout_s, is_stop=False):
+        if not await self._await_answer(command, [sending], timeout_s=self._config.reply_timeout_s, is_stop=False):
             radio = sending.result() if sending.done() else RadioOutcome(fate=Fate.UNKNOWN)
             reason = f"no answer within {self._config.reply_timeout_s:g} s; it may have been obeyed"
             await self._tell(command, Stage.UNKNOWN, reason=f"{reason} ({radio.reason})" if radio.reason else reason)
 
     async def _await_answer(
-        self, command: _Command, sending: "asyncio.Future[RadioOutcome] | None", *, timeout_s: float, is_stop: bool
+        self, command: _Command, sendings: "list[asyncio.Future[RadioOutcome]]", *, timeout_s: float, is_stop: bool
     ) -> bool:
-        """Wait for radio and biobot; True where a final stage was told."""
+        """Wait for radios and biobot; True where a final stage was told."""
+        under_way = set(sendings)
         deadline_s = asyncio.get_running_loop().time() + timeout_s
         while not command.reply.done():
             rest_s = deadline_s - asyncio.get_running_loop().time()
             if rest_s <= 0:
                 return False
-            waited: set[asyncio.Future[Any]] = {command.reply} if sending is None else {command.reply, sending}
+            waited: set[asyncio.Future[Any]] = {command.reply, *under_way}
             await asyncio.wait(waited, timeout=rest_s, return_when=asyncio.FIRST_COMPLETED)
-            if sending is not None and sending.done() and not command.reply.done():
-                outcome, sending = sending.result(), None
+            for sending in [] if command.reply.done() else [one for one in under_way if one.done()]:
+                under_way.remove(sending)
+                outcome = sending.result()
                 if outcome.fate is Fate.SENT and all(stage.stage is not Stage.RADIO_CONFIRMED for stage in command.stages):
                     self._tell_now(command, Stage.RADIO_CONFIRMED)
                 elif outcome.fate is Fate.NOT_SENT and not is_stop:
@@ -258,8 +260,8 @@ class StimulationGate:
             return f"biobot {request.node} is not known here: {why}"
         if request.action is StimulationAction.STOP:
             return None
-        if node.is_introduced and not node.capabilities & Capability.STIMULATION:
-            return f"biobot {request.node} cannot be stimulated: its backpack says so"
+        if unfit := _why_unfit(node):
+            return f"biobot {request.node} {unfit}"
         if len(self._running) > _MAX_RUNNING:
             return f"{_MAX_RUNNING} commands are under way, the limit; wait for their answers"
         ahead_ms = (request.issued_wall_ns - self._wall_clock()) // NS_PER_MS
@@ -380,6 +382,15 @@ class StimulationGate:
                 # A wall clock that was set back makes old trains look new, never the other way round: it errs to the safe side.
                 at_ns = now_ns - max(0, now_wall_ns - entry.wall_ns)
                 self._ledger.admit(entry.node, train_ms=entry.train_ms, at_ns=at_ns)
+
+
+def _why_unfit(node: Node) -> str:
+    """Return why nothing but a STOP is for this biobot, or nothing."""
+    if node.is_introduced and not node.capabilities & Capability.STIMULATION:
+        return "cannot be stimulated: its backpack says so"
+    if not node.last_heard_ns:
+        return "was not heard since the gateway started, and another may have its address by now; it is being asked: try again soon"
+    return ""
 
 
 def _is_same(one: StimulationRequest, other: StimulationRequest) -> bool:

@@ -1,5 +1,6 @@
 """How a CAN bus and a coordinator on it are named: ``can:socketcan:can0?fd=1&unit=1``."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -92,16 +93,13 @@ def read_can_spec(spec: str, place: str, options: Mapping[str, str]) -> CanSpec:
 
 
 def _number(spec: str, key: str, text: str, allowed: tuple[int, ...], wanted: str = "") -> int:
-    if not (text.isascii() and text.isdigit() and int(text) in allowed):
+    if re.fullmatch(r"[0-9]{1,10}", text) is None or int(text) not in allowed:
         raise TransportSpecError(spec=spec, reason=f"{key} is {text!r}, but must be {wanted or f'one of {allowed}'}")
     return int(text)
 
 
 def _settle(spec: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
+    value = float(text) if re.fullmatch(r"[0-9]{1,3}(\.[0-9]{1,6})?", text) else -1.0
     if not 0 <= value <= _MAX_SETTLE_S:
         raise TransportSpecError(spec=spec, reason=f"settle is {text!r}, but must be 0 to {_MAX_SETTLE_S:g} s")
     return value

@@ -1,5 +1,10 @@
-"""How a port is named: ``serial:/dev/ttyACM0?baud=115200&dialect=xbee``, ``tcp:HOST:PORT?dialect=znp`` or ``can:socketcan:can0?unit=1``."""
+"""How a port is named: ``serial:/dev/ttyACM0?baud=115200&dialect=xbee``, ``tcp:HOST:PORT?dialect=znp`` or ``can:socketcan:can0?unit=1``.
 
+``dialect=can`` and ``dialect=canfd`` on a serial or TCP port are a CAN bus as a line of records, one a frame (``framing/can_frame.py``), as
+a simulator's line makes and a recording holds: no adapter for a bus speaks so. Those are ``can:slcan:...`` and ``can:socketcan:...``.
+"""
+
+import re
 from dataclasses import dataclass
 from typing import TypeAlias
 from urllib.parse import parse_qsl
@@ -16,6 +21,8 @@ from gateway.transports.tcp import open_tcp
 DEFAULT_BAUD = 115_200
 
 _MAX_BAUD = 4_000_000
+_MAX_HOST = 253  # RFC 1035, 2.3.4: 255 octets with the lengths of the labels, of at most 63 octets each
+_MAX_LABEL = 63
 _NETWORK_OPTIONS = {"pan_id": range(0xFFFF), "channel": range(11, 27), "permit_join_s": range(255)}
 
 
@@ -98,8 +105,10 @@ def _parse_serial(spec: str, rest: str) -> SerialSpec:
     path, options = _split_options(spec, rest, allowed=("baud", "dialect", *_NETWORK_OPTIONS))
     if not path:
         raise TransportSpecError(spec=spec, reason="names no device")
+    if "\0" in path:
+        raise TransportSpecError(spec=spec, reason="the device's path has a null character in it")
     baud = options.get("baud", str(DEFAULT_BAUD))
-    if not baud.isascii() or not baud.isdigit() or not 1 <= int(baud) <= _MAX_BAUD:
+    if not 1 <= _read_number(baud, with_hex=False) <= _MAX_BAUD:
         raise TransportSpecError(spec=spec, reason=f"baud is {baud!r}, but must be a number from 1 to {_MAX_BAUD}")
     return SerialSpec(path=path, baud=int(baud), dialect=_dialect(spec, options), network=_network(spec, options))
 
@@ -111,7 +120,9 @@ def _parse_tcp(spec: str, rest: str) -> TcpSpec:
         host = host[1:-1]
     if not colon or not host:
         raise TransportSpecError(spec=spec, reason="must be tcp:HOST:PORT")
-    if not port.isascii() or not port.isdigit() or not 1 <= int(port) <= 65_535:
+    if why := _why_no_host(host):
+        raise TransportSpecError(spec=spec, reason=f"the host {why}")
+    if not 1 <= _read_number(port, with_hex=False) <= 65_535:
         raise TransportSpecError(spec=spec, reason=f"the port is {port!r}, but must be a number from 1 to 65535")
     return TcpSpec(host=host, port=int(port), dialect=_dialect(spec, options), network=_network(spec, options))
 
@@ -150,11 +161,29 @@ def _network(spec: str, options: dict[str, str]) -> NetworkWish | None:
             raise TransportSpecError(
                 spec=spec, reason=f"{key} is for dialect {names}, not {dialect}; docs/dongles.md says how to set its network"
             )
-        try:
-            values[key] = int(options[key], 0)
-        except ValueError:
-            values[key] = -1
+        values[key] = _read_number(options[key])
         if values[key] not in allowed:
             reason = f"{key} is {options[key]!r}, but must be a number from {allowed[0]} to {allowed[-1]}"
             raise TransportSpecError(spec=spec, reason=reason)
     return NetworkWish(**values) if values else None
+
+
+def _read_number(text: str, *, with_hex: bool = True) -> int:
+    """Return what a plain decimal number says, or one with 0x; -1 for anything else."""
+    if re.fullmatch(r"[0-9]{1,10}", text):
+        return int(text)
+    return int(text, 16) if with_hex and re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}", text) else -1
+
+
+def _why_no_host(host: str) -> str:
+    """Return why a name or address can be no host's, or nothing."""
+    if any(character.isspace() or not character.isprintable() for character in host):
+        return f"is {host!r}, which has blanks or control characters in it"
+    labels = host.removesuffix(".").split(".")
+    if not all(labels):
+        return f"is {host!r}, which has nothing between two dots, or before the first"
+    try:
+        encoded = host.encode("idna")
+    except UnicodeError:
+        return f"is {host!r}, which has a part of more than {_MAX_LABEL} characters, or some that no name can have"
+    return "" if len(encoded) <= _MAX_HOST else f"has {len(encoded)} characters, but at most {_MAX_HOST} are allowed"

@@ -68,7 +68,7 @@ async def open_tcp(*, host: str, port: int) -> TcpTransport:
             reader, writer = await asyncio.open_connection(host, port, limit=2 * _READ_SIZE)
     except TimeoutError as error:
         raise TransportOpenError(name=name, reason=f"no answer within {_OPEN_TIMEOUT_S:g} s") from error
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a host's name that cannot be asked for, as one with an empty label
         raise TransportOpenError(name=name, reason=str(error)) from error
     writer.transport.set_write_buffer_limits(high=0)
     connection = writer.get_extra_info("socket")

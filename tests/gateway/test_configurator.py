@@ -15,7 +15,7 @@ from firmware_protocol.messages import (
     Downlink,
     Hello,
 )
-from firmware_protocol.units import NS_PER_S, BootId, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.config import BackpackTable
 from gateway.configurator import Configurator
 from gateway.downlink import DownlinkSender
@@ -69,6 +69,7 @@ class _Scene:
             address=ShortAddress(1),
             rssi_dbm=RssiDbm(-50),
             lqi=1,
+            sent_ms=Milliseconds(0),
             now_ns=int(at_s * NS_PER_S),
             now_wall_ns=Nanoseconds(1),
         )

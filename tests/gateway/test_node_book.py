@@ -15,6 +15,7 @@ def _heard(book: NodeBook, *, boot: int = 1) -> Node:
         address=ShortAddress(1),
         rssi_dbm=RssiDbm(-50),
         lqi=1,
+        sent_ms=Milliseconds(0),
         now_ns=1,
         now_wall_ns=Nanoseconds(1),
     )

@@ -56,6 +56,7 @@ def _with_gate(path: Path, story: Callable[[StimulationGate, _Air, Journal], Awa
             address=ShortAddress(1),
             rssi_dbm=RssiDbm(-50),
             lqi=1,
+            sent_ms=Milliseconds(0),
             now_ns=1,
             now_wall_ns=Nanoseconds(1),
         )
