@@ -81,6 +81,8 @@ class LinkConfig:
     """Timers and bounds; the defaults are those of WIRE_FORMAT.md §3.4."""
 
     window: int = 16
+    urgent_window: int = 16
+    """Up to how many in flight an urgent payload is sent, where ``window`` is less."""
     max_queue: int = 512
     retransmit_ns: int = 300 * _NS_PER_MS
     max_retransmit_ns: int = 2_000 * _NS_PER_MS
@@ -140,8 +142,9 @@ class Link:
     """DATA frames sent more than once."""
     _session: int = 0
     _frames: list[bytes] = field(default_factory=list)
-    _unsent: deque[tuple[int, bytes]] = field(default_factory=deque)
-    _in_flight: deque[tuple[int, bytes]] = field(default_factory=deque)
+    _unsent: deque[tuple[int, bytes, bool]] = field(default_factory=deque)
+    """Ticket, payload, whether it is urgent."""
+    _in_flight: deque[tuple[int, bytes, bool]] = field(default_factory=deque)
     _next_ticket: int = 1
     _first_unacknowledged: int = 0
     _next_expected: int = 0
@@ -192,10 +195,7 @@ class Link:
             raise LinkFullError(limit=self.config.max_queue)
         ticket = self._next_ticket
         self._next_ticket += 1
-        if is_urgent:
-            self._unsent.appendleft((ticket, payload))
-        else:
-            self._unsent.append((ticket, payload))
+        (self._unsent.appendleft if is_urgent else self._unsent.append)((ticket, payload, is_urgent))
         self._fill_window(now_ns)
         return ticket
 
@@ -357,7 +357,7 @@ class Link:
     def _fill_window(self, now_ns: int) -> None:
         if self.state is not LinkState.OPEN:
             return
-        while self._unsent and len(self._in_flight) < self.config.window:
+        while self._unsent and len(self._in_flight) < (self.config.urgent_window if self._unsent[0][2] else self.config.window):
             entry = self._unsent.popleft()
             self._push(_Kind.DATA, (self._first_unacknowledged + len(self._in_flight)) % 256, entry[1])
             self._in_flight.append(entry)
@@ -365,7 +365,7 @@ class Link:
                 self._retransmit_at_ns = now_ns + self._retransmit_ns
 
     def _repeat_window(self, now_ns: int) -> None:
-        for index, (_, payload) in enumerate(self._in_flight):
+        for index, (_, payload, _) in enumerate(self._in_flight):
             self._push(_Kind.DATA, (self._first_unacknowledged + index) % 256, payload)
             self.n_repeated += 1
         self._n_repeating = len(self._in_flight) + 1  # and one that was not sent before
@@ -379,7 +379,7 @@ class Link:
         return self._n_fruitless > self.config.max_fruitless_retries
 
     def _forget_outgoing(self) -> tuple[int, ...]:
-        dropped = tuple(ticket for ticket, _ in (*self._in_flight, *self._unsent))
+        dropped = tuple(entry[0] for entry in (*self._in_flight, *self._unsent))
         self._in_flight.clear()
         self._unsent.clear()
         return dropped

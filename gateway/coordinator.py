@@ -63,7 +63,8 @@ class Coordinator:
     radio
         Its name, in records and logs.
     make_host
-        Makes the base station's end of the dongle's dialect, once for each time that the port is opened.
+        Makes the base station's end of the dongle's dialect, once: it is opened anew with the port, and what it knows of addresses and of
+        numbers in use stays.
     open_port
         Opens the transport; raises ``TransportError``.
     on_radio
@@ -88,7 +89,6 @@ class Coordinator:
     ) -> None:
         self.radio = radio
         self.hello: CoordinatorHello | None = None
-        self._make_host = make_host
         self._open_port = open_port
         self._on_radio = on_radio
         self._config = config
@@ -170,7 +170,6 @@ class Coordinator:
 
     async def _hold(self, transport: Transport) -> None:
         """Keep the dongle open on an open port; ends with the ``TransportError`` that ended it."""
-        self._host = self._make_host()
         self._is_held = True
         self._reopen_pause_s = 0.0
         self._open_host()

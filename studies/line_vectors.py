@@ -104,6 +104,24 @@ def session_vectors() -> list[Vector]:
             _step(1300, "deadline", frames=["0301000142"]),
             _step(1400, "receive", "04010002", events=["confirmed 42"]),
         ]),
+        _session("what is missing at the other end is repeated at once; repetitions that were needless bring about no more", "3.3", "responder", [
+            _step(0, "receive", reset, frames=[reset_ack], events=["opened"]),
+            _step(0, "send", "41", frames=["0301000041"]),
+            _step(0, "send", "42", frames=["0301000142"]),
+            _step(0, "send", "43", frames=["0301000243"]),
+            _step(50, "receive", "04010000", frames=["0301000041", "0301000142", "0301000243"]),
+            _step(51, "receive", "04010000"),
+            _step(52, "receive", "04010001", events=["confirmed 41"]),
+            _step(53, "receive", "04010001"),
+            _step(54, "receive", "04010003", events=["confirmed 42", "confirmed 43"]),
+            _step(60, "send", "44", frames=["0301000344"]),
+            _step(61, "receive", "04010003"),
+            _step(62, "receive", "04010004", events=["confirmed 44"]),
+            _step(70, "send", "45", frames=["0301000445"]),
+            _step(71, "receive", "04010004", frames=["0301000445"]),
+            _step(371, "deadline", frames=["0301000445"]),
+            _step(380, "receive", "04010004"),
+        ]),
         _session("an acknowledgement of what was not sent is ignored", "3.3", "responder", [
             _step(0, "receive", reset, frames=[reset_ack], events=["opened"]),
             _step(0, "send", "41", frames=["0301000041"]),
@@ -131,6 +149,36 @@ def session_vectors() -> list[Vector]:
             _step(3700, "receive", "04010000"),
             *[_step(6700 + 300 * number, "deadline", frames=["05010000"]) for number in range(5)],
             _step(8200, "deadline", events=["lost no_answer"]),
+        ]),
+        _session("a coordinator that talks but acknowledges nothing is given up", "3.3", "initiator", [
+            _step(0, "open", 1, frames=[reset]),
+            _step(0, "receive", reset_ack, events=["opened"]),
+            _step(0, "send", "41", frames=["0301000041"]),
+            *[
+                step
+                for at_ms in (300, 900, *range(2100, 18_000, 2000))
+                for step in (
+                    _step(at_ms, "deadline", frames=["0301000041"]),
+                    _step(at_ms + 10, "receive", "05010000", frames=["04010000"]),
+                )
+            ],
+            _step(18_100, "deadline", events=["lost no_progress, dropped 41"]),
+        ]),
+        _session("a base station whose disk stalls gives no coordinator up", "3.3", "initiator", [
+            _step(0, "open", 1, frames=[reset]),
+            _step(0, "receive", reset_ack, events=["opened"]),
+            _step(0, "send", "41", frames=["0301000041"]),
+            _step(10, "receive", "0301000061", events=["received 61"]),
+            *[
+                step
+                for at_ms in (300, 900, *range(2100, 40_000, 2000))
+                for step in (
+                    _step(at_ms, "deadline", frames=["0301000041"]),
+                    _step(at_ms + 10, "receive", "0301000061", frames=["04010000"]),
+                )
+            ],
+            _step(40_000, "confirm", 1, frames=["04010001"]),
+            _step(40_001, "receive", "04010001", events=["confirmed 41"]),
         ]),
         _session("a coordinator that restarted asks for a new session, and what was under way is dropped", "3.3", "initiator", [
             _step(0, "open", 1, frames=[reset]),

@@ -49,7 +49,8 @@ from firmware_protocol.messages import MAX_RADIO_PAYLOAD
 from firmware_protocol.units import ShortAddress
 
 _WINDOW = 4
-"""DATA frames in flight towards the dongle: few, so that an urgent one does not wait behind many."""
+"""DATA frames in flight towards the dongle: few, so that an urgent one does not stand behind many on the line. It waits for none of them:
+the link's own window is wider."""
 
 _N_HANDLES = 1 << 16
 

@@ -215,7 +215,7 @@ class XBeeHost:
         self._opening = None
         self._is_open = True
         self._said_delivery = 0
-        self._asked_ns, self._check_at_ns = now_ns, now_ns + self._config.check_ns
+        self._asked_ns, self._check_at_ns = now_ns - self._config.strike_ns, now_ns + self._config.check_ns
         self._heard(now_ns)
         self._table.has_short_addresses = has_short_addresses(opening.answers)
         events: list[HostEvent] = [HostOpened(), identify(opening.answers)]

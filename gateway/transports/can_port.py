@@ -2,7 +2,7 @@
 
 python-can blocks, so a bus has a thread that receives and one that sends. Each crosses to the event loop in one place. Both queues are
 bounded: what comes in for a unit whose reader is ``_MAX_WAITING`` behind is dropped and counted, and its link has it repeated; what goes
-out waits one write a unit, the most urgent first. The receiving thread is watched: where it has died or hangs, reading ends, and with it
+out waits one write a unit, the most urgent first, and of a write that was cancelled nothing more goes out. The receiving thread is watched: where it has died or hangs, reading ends, and with it
 the port, which is opened anew.
 """
 
@@ -31,10 +31,10 @@ _POLL_S = 0.1
 _WATCH_S = 1.0
 _PATIENCE_S = 5.0
 _FIRST_RETRY_S, _LAST_RETRY_S = 0.001, 0.05
-_STOP = (-1, 0, (), None)
+_STOP = (-1, 0, (), None, None)
 """Goes before all that waits to be sent, and ends the thread."""
 
-_Job = tuple[int, int, tuple[CanFrame, ...], "asyncio.Future[None] | None"]
+_Job = tuple[int, int, tuple[CanFrame, ...], "asyncio.Future[None] | None", "CanTransport | None"]
 
 
 class BlockingBus(Protocol):
@@ -132,7 +132,7 @@ class CanTransport:
         frames = tuple(one for one in self._records.feed(data) if isinstance(one, CanFrame))
         if not frames:
             return
-        future = self._shared.submit(frames)
+        future = self._shared.submit(frames, self)
         try:
             async with asyncio.timeout(2 * self._shared.patience_s):
                 await future
@@ -145,6 +145,11 @@ class CanTransport:
             return
         self._is_closed = True
         await self._shared.leave(self)
+
+    @property
+    def is_closed(self) -> bool:
+        """Nothing more is to go out for this unit."""
+        return self._is_closed
 
     def put(self, frame: CanFrame) -> bool:
         """Take a frame from the receiving thread; return whether the reader is to be woken."""
@@ -207,9 +212,9 @@ class _SharedBus:
             self._end("closed by this side")
             await asyncio.to_thread(self._receiver.join, self.patience_s)
 
-    def submit(self, frames: tuple[CanFrame, ...]) -> "asyncio.Future[None]":
+    def submit(self, frames: tuple[CanFrame, ...], transport: CanTransport) -> "asyncio.Future[None]":
         future: asyncio.Future[None] = self._loop.create_future()
-        self._jobs.put((frames[0].can_id >> 27, next(self._numbers), frames, future))
+        self._jobs.put((frames[0].can_id >> 27, next(self._numbers), frames, future, transport))
         return future
 
     def trouble(self) -> str:
@@ -246,12 +251,12 @@ class _SharedBus:
 
     def _send(self) -> None:
         while True:
-            _, _, frames, future = self._jobs.get()
-            if future is None:
+            _, _, frames, future, transport = self._jobs.get()
+            if future is None or transport is None:
                 return self._fail_rest()
             try:
                 for frame in frames:
-                    self._send_one(frame)
+                    self._send_one(frame, future, transport)
             except TransportClosedError as error:
                 self._call(_fail, future, error)
             except Exception as error:  # noqa: BLE001  # same as in receiving
@@ -262,15 +267,19 @@ class _SharedBus:
     def _fail_rest(self) -> None:
         with contextlib.suppress(queue.Empty):
             while True:
-                *_, future = self._jobs.get_nowait()
+                *_, future, _ = self._jobs.get_nowait()
                 if future is not None:
                     self._call(_fail, future, TransportClosedError(name=self.spec.bus_name, reason=self.reason or "closed by this side"))
 
-    def _send_one(self, frame: CanFrame) -> None:
-        """Send a frame; where the controller's queue is full, try again for a while."""
+    def _send_one(self, frame: CanFrame, future: "asyncio.Future[None]", transport: CanTransport) -> None:
+        """Send a frame of a write that is wanted still; where the controller's queue is full, try again for a while."""
         give_up_ns = time.monotonic_ns() + int(self.patience_s * NS_PER_S)
         pause_s = _FIRST_RETRY_S
-        while not self._bus.send(frame):
+        while True:
+            if future.cancelled() or transport.is_closed:
+                raise TransportClosedError(name=transport.name, reason="closed by this side")
+            if self._bus.send(frame):
+                return
             if self._stopping.wait(pause_s) or time.monotonic_ns() > give_up_ns:
                 reason = f"its queue was full for {self.patience_s:g} s: no other node acknowledges, or the bus is overloaded"
                 raise TransportClosedError(name=self.spec.bus_name, reason=self.reason or reason)

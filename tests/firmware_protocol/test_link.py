@@ -1,5 +1,6 @@
 """The link: two real ends over a lossy wire, no sockets, no sleeps."""
 
+from collections import deque
 from dataclasses import dataclass, field
 
 import pytest
@@ -22,6 +23,7 @@ from firmware_protocol.link import (
 )
 
 MS = 1_000_000
+PATIENT = LinkConfig(max_silent_retries=10_000, max_fruitless_retries=10_000)
 
 
 @dataclass
@@ -79,8 +81,8 @@ def test_a_session_opens() -> None:
 @given(st.lists(st.booleans(), max_size=300), st.integers(0, 40), st.integers(0, 40))
 def test_everything_arrives_once_and_in_order_whatever_is_lost(losses: list[bool], n_up: int, n_down: int) -> None:
     """Losses end some time, as a cable that never works delivers nothing; then all must have come through."""
-    wire = Wire(base=Link(role=Role.INITIATOR, config=LinkConfig(max_silent_retries=10_000)), losses=losses)
-    wire.dongle.config = LinkConfig(max_silent_retries=10_000)
+    wire = Wire(base=Link(role=Role.INITIATOR, config=PATIENT), losses=losses)
+    wire.dongle.config = PATIENT
     wire.base.open(session=7, now_ns=0)
     up = [b"u%d" % i for i in range(n_up)]
     down = [b"d%d" % i for i in range(n_down)]
@@ -159,6 +161,130 @@ def test_an_urgent_payload_overtakes_all_that_has_not_been_sent() -> None:
     wire.run(40)
 
     assert wire.at_dongle.index(b"STOP") == wire.base.config.window
+
+
+def test_an_urgent_payload_does_not_wait_for_a_window_that_is_less_than_the_links() -> None:
+    link = Link(role=Role.INITIATOR, config=LinkConfig(window=4))
+    link.open(session=1, now_ns=0)
+    link.receive(b"\x02\x01\x00\x00\x01", now_ns=0)
+    for i in range(40):
+        link.send(b"%d" % i, now_ns=0)
+    for _ in range(20):
+        link.send(b"STOP", now_ns=0, is_urgent=True)
+
+    payloads = [frame[4:] for frame in link.take_frames() if frame[0] == 3]
+    assert payloads == [b"0", b"1", b"2", b"3", *[b"STOP"] * 12]
+
+
+def test_a_payload_is_taken_back_as_long_as_it_was_not_sent() -> None:
+    wire = opened()
+    tickets = [wire.base.send(b"%d" % i, now_ns=wire.now_ns) for i in range(20)]
+
+    assert [wire.base.cancel(tickets[at]) for at in (0, 15, 16, 19, 19)] == [False, False, True, True, False]
+    wire.run(10)
+
+    assert wire.at_dongle == [b"%d" % i for i in range(20) if i not in {16, 19}]
+
+
+@dataclass
+class SlowLine:
+    """Two open ends and a line that keeps frames in their order until they are carried; no time passes. It loses those whose turn it is."""
+
+    ends: tuple[Link, Link]
+    lost: set[int]
+    n_carried: int = 0
+    on_line: tuple[deque[bytes], deque[bytes]] = field(default_factory=lambda: (deque(), deque()))
+    unconfirmed: tuple[deque[int], deque[int]] = field(default_factory=lambda: (deque(), deque()))
+    received: tuple[list[bytes], list[bytes]] = field(default_factory=lambda: ([], []))
+
+    def carry(self, end: int) -> None:
+        """Put on the line what an end says, and carry the oldest frame to the other end."""
+        self.on_line[end].extend(self.ends[end].take_frames())
+        if self.on_line[end]:
+            frame = self.on_line[end].popleft()
+            self.n_carried += 1
+            if self.n_carried not in self.lost:
+                self.hear(1 - end, frame)
+
+    def hear(self, end: int, frame: bytes) -> None:
+        for event in self.ends[end].receive(frame, now_ns=0):
+            if isinstance(event, PayloadReceived):
+                self.received[end].append(event.payload)
+                self.unconfirmed[end].append(event.receipt)
+
+    def confirm(self, end: int) -> None:
+        """Let an owner say that the oldest payload it has not confirmed is safe."""
+        if self.unconfirmed[end]:
+            self.ends[end].confirm(self.unconfirmed[end].popleft())
+
+
+@given(
+    st.integers(0, 40),
+    st.integers(0, 40),
+    st.lists(st.integers(0, 3), max_size=400),
+    st.sets(st.integers(1, 60), max_size=4),
+)
+def test_a_loss_is_made_good_without_a_timer_and_brings_about_no_more_than_a_window(
+    n_up: int, n_down: int, order: list[int], lost: set[int]
+) -> None:
+    """However slow line and owners are, and in whatever order they do their part. The last frame's loss alone needs the timer."""
+    wire = opened()
+    line = SlowLine((wire.base, wire.dongle), lost)
+    for number in range(n_down):
+        wire.base.send(b"%d" % number, now_ns=0)
+    for number in range(n_up):
+        wire.dongle.send(b"%d" % number, now_ns=0)
+
+    for what in [*order, *[0, 1, 2, 3] * 600]:
+        (line.carry if what < 2 else line.confirm)(what % 2)
+
+    for end, n_sent in ((0, n_up), (1, n_down)):
+        assert line.received[end] == [b"%d" % number for number in range(len(line.received[end]))]
+        assert lost or len(line.received[end]) == n_sent
+        assert line.ends[1 - end].n_repeated <= len(lost) * wire.base.config.window
+
+
+@pytest.mark.parametrize("missing", [1, 2, 9])
+def test_what_is_missing_is_repeated_before_its_time(missing: int) -> None:
+    wire = opened()
+    line = SlowLine((wire.base, wire.dongle), {missing})
+    for number in range(10):
+        wire.base.send(b"%d" % number, now_ns=0)
+
+    for what in [0, 1, 3] * 100:
+        (line.carry if what < 2 else line.confirm)(what % 2)
+
+    assert line.received[1] == [b"%d" % number for number in range(10)]
+
+
+def test_a_dongle_that_talks_but_acknowledges_nothing_is_given_up_within_the_stated_time() -> None:
+    """Ten repetitions, 0.3, 0.6 and 1.2 s and then 2 s apart, and 2 s after the last."""
+    wire = opened()
+    ticket = wire.base.send(b"STOP", now_ns=wire.now_ns)
+    wire.base.take_frames()
+    wire.dongle = Link(role=Role.RESPONDER)
+    while wire.base.state is LinkState.OPEN and wire.now_ns < 60_000 * MS:
+        wire.now_ns += 50 * MS
+        wire.events += wire.base.receive(b"\x05\x01\x00\x00", now_ns=wire.now_ns)
+        wire.events += wire.base.handle_deadline(now_ns=wire.now_ns)
+        wire.base.take_frames()
+
+    assert wire.events[-1] == LinkLost(reason=LostReason.NO_PROGRESS, dropped=(ticket,))
+    assert wire.now_ns <= 18_400 * MS
+
+
+def test_a_base_station_that_stalls_itself_does_not_give_its_dongle_up() -> None:
+    """A dongle whose queue is full of what the base station has not confirmed cannot take a payload that it would have to answer."""
+    wire = opened(confirms=False)
+    wire.dongle.send(b"heard", now_ns=wire.now_ns)
+    wire.run(2)
+    wire.base.send(b"STOP", now_ns=wire.now_ns)
+
+    for _ in range(6_000):
+        wire.now_ns += 50 * MS
+        wire.base.receive(b"\x05\x01\x00\x00", now_ns=wire.now_ns)
+        assert wire.base.handle_deadline(now_ns=wire.now_ns) == []
+        wire.base.take_frames()
 
 
 def test_a_restarted_dongle_is_noticed_at_once_when_it_announces_itself() -> None:

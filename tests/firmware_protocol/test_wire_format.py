@@ -116,6 +116,7 @@ def test_bounds_and_constants_are_those_of_the_text() -> None:
     assert f"| window | {config.window} payloads" in constants
     assert f"| {config.retransmit_ns // ms} ms, doubling up to {config.max_retransmit_ns // (1000 * ms)} s" in constants
     assert f"| {config.max_silent_retries} repetitions" in constants
+    assert f"| {config.max_fruitless_retries} repetitions with no progress" in constants
     assert f"| {config.keepalive_ns // (1000 * ms)} s, then every {config.retransmit_ns // ms} ms |" in constants
     assert f"| {config.reset_retry_ns // ms} ms, for ever |" in constants
 

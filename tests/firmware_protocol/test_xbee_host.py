@@ -387,6 +387,60 @@ def test_a_payload_that_is_forgotten_is_not_written_or_frees_its_place() -> None
     assert tickets[WINDOW] not in bench.settled
 
 
+def test_a_payload_for_nobody_that_is_forgotten_is_not_settled() -> None:
+    bench = an_open_bench(DIGIMESH)
+    ticket = bench.host.send(destination=NODE, payload=b"payload", now_ns=bench.now_ns)
+    bench.host.forget(ticket)
+    bench.run(50)
+    assert not bench.settled
+
+
+def test_stops_for_biobots_that_are_out_of_reach_do_not_keep_one_from_another() -> None:
+    """Their statuses take seconds; a module that has no room for one more says so."""
+    bench = an_open_bench()
+    for index in range(20):
+        bench.send(b"stop %d" % index, is_urgent=True)
+    bench.send(b"stop of one that is there", is_urgent=True)
+    assert len(bench.requests) == 21
+    bench.send(b"acknowledge")
+    assert len(bench.requests) == 21
+
+
+@pytest.mark.parametrize("loses_port", [False, True])
+def test_a_status_from_before_a_new_opening_settles_no_other_payload(loses_port: bool) -> None:
+    """A module that was not reset still tells of what it was given before."""
+    bench = an_open_bench()
+    for index in range(3):
+        bench.send(b"old %d" % index)
+    old = list(bench.requests)
+    if not loses_port:
+        bench.say(ModemStatus(status=6))
+    bench.events.clear()
+    bench.events += bench.host.open(session=2, now_ns=bench.now_ns)
+    bench.run()
+    tickets = [bench.send(b"new %d" % index) for index in range(260)]
+    for request in old:
+        bench.say(TransmitStatus(frame_id=request.frame_id, destination16=0xFFFD, retries=0, delivery=0x24, discovery=0))
+    assert not bench.settled
+    for request in bench.requests[3:]:
+        bench.say(TransmitStatus(frame_id=request.frame_id, destination16=NODE, retries=0, delivery=0, discovery=0))
+    assert bench.settled == dict.fromkeys(tickets[: len(bench.settled)], RadioStatus.SENT)
+
+
+def test_a_module_that_opens_is_given_no_payload_and_is_not_asked_for_ever() -> None:
+    bench = an_open_bench(DIGIMESH)
+    bench.host.open(session=2, now_ns=bench.now_ns)
+    bench.host.take_frames()
+    nobody = bench.host.send(destination=ShortAddress(9), payload=b"payload", now_ns=bench.now_ns)
+    bench.say(TransmitStatus(frame_id=9, destination16=1, retries=0, delivery=0, discovery=0))
+    assert bench.host.take_frames() == []
+    due_ns = bench.host.next_deadline_ns()
+    assert due_ns is not None
+    assert due_ns > bench.now_ns
+    bench.run(2_000)
+    assert bench.settled == {nobody: RadioStatus.UNKNOWN_ADDRESS}
+
+
 def test_frame_ids_of_payloads_that_were_forgotten_are_not_used_again_before_their_status() -> None:
     bench = an_open_bench()
     for _ in range(260):
@@ -452,6 +506,41 @@ def test_a_module_that_loses_its_network_is_opened_anew() -> None:
     assert "left its network" in lost.detail
 
 
+@pytest.mark.parametrize("event", [0x03, 0x3F, 0x40])
+def test_a_module_that_may_have_lost_its_network_is_asked_at_once(event: int) -> None:
+    bench = an_open_bench()
+    bench.answers["AI"] = b"\x13"
+    bench.say(ModemStatus(status=event), heard())
+    bench.run(50)
+    assert bench.of(HostLost)
+
+
+def test_a_module_without_its_network_is_opened_anew_however_much_is_sent_and_heard() -> None:
+    """By the first status that says so, or within ten seconds."""
+    for delivery, within_ms in ((0x22, 1_200), (0x24, 10_100)):
+        bench = an_open_bench()
+        bench.answers["AI"] = b"\x13"
+        while not bench.of(HostLost) and bench.now_ns < 60 * NS_PER_S:
+            bench.send()
+            bench.say(TransmitStatus(frame_id=bench.requests[-1].frame_id, destination16=0xFFFD, retries=0, delivery=delivery, discovery=0))
+            bench.run(100)
+        (lost,) = bench.of(HostLost)
+        assert isinstance(lost, HostLost)
+        assert lost.why is LostWhy.RESTARTED
+        assert bench.now_ns <= (within_ms + 300) * NS_PER_MS
+
+
+def test_statuses_of_a_module_that_says_it_has_no_network_do_not_flood_it_with_questions() -> None:
+    bench = an_open_bench()
+    n_asked = len(bench.asked)
+    for _ in range(500):
+        bench.send()
+        bench.say(TransmitStatus(frame_id=bench.requests[-1].frame_id, destination16=0xFFFD, retries=0, delivery=0x22, discovery=0))
+        bench.run(10)
+    assert not bench.of(HostLost), "it says that it is in a network"
+    assert 3 <= len(bench.asked) - n_asked <= 7
+
+
 def test_addresses_are_learnt_and_used() -> None:
     bench = an_open_bench()
     bench.send(to=NODE)
@@ -488,6 +577,67 @@ def test_where_a_payload_was_delivered_is_learnt_from_its_status() -> None:
     bench.say(TransmitStatus(frame_id=bench.requests[0].frame_id, destination16=0x1111, retries=1, delivery=0, discovery=1))
     bench.send(to=NODE)
     assert bench.requests[-1].destination16 == 0x1111
+
+
+def test_where_a_payload_was_delivered_is_learnt_of_the_node_that_it_was_for() -> None:
+    """Its short address may be another's by then."""
+    bench = an_open_bench()
+    bench.say(heard())
+    bench.send(to=NODE)
+    bench.say(heard(source64=EUI64 + 1))
+    bench.say(TransmitStatus(frame_id=bench.requests[0].frame_id, destination16=0x2222, retries=0, delivery=0, discovery=1))
+    bench.send(to=0x2222)
+    bench.send(to=NODE)
+    assert [(one.destination64, one.destination16) for one in bench.requests[1:]] == [(EUI64, 0x2222), (EUI64 + 1, NODE)]
+
+
+def test_a_node_without_a_short_address_keeps_the_one_it_was_allotted_over_new_openings() -> None:
+    bench = an_open_bench(DIGIMESH)
+    bench.say(heard(source16=UNKNOWN16), heard(source64=EUI64 + 1, source16=UNKNOWN16))
+    first, second = [event.received.source for event in bench.events if isinstance(event, PayloadHeard)]
+    bench.host.open(session=2, now_ns=bench.now_ns)
+    bench.run()
+    bench.send(to=first)
+    bench.say(heard(source64=EUI64 + 1, source16=UNKNOWN16))
+    assert isinstance(bench.events[-1], PayloadHeard)
+    assert bench.events[-1].received.source == second
+    bench.send(to=first)
+    assert [one.destination64 for one in bench.requests] == [EUI64, EUI64]
+
+
+@pytest.mark.parametrize(
+    ("answers", "reaches"),
+    [(ZIGBEE, True), (DIGIMESH, False), (DIGIMESH | {"MY": b"\0\0"}, True), (DIGIMESH | {"MY": b"\xff\xff"}, False)],
+    ids=["ZigBee", "DigiMesh", "802.15.4", "802.15.4 by long addresses"],
+)
+def test_the_opening_tells_whether_a_short_address_that_is_not_known_may_be_somebodys(answers: dict[str, bytes], reaches: bool) -> None:
+    """What a node calls itself does not: a ZigBee module says 0xFFFE of one whose address it has not learnt yet."""
+    bench = an_open_bench(answers)
+    for _ in range(2):
+        ticket = bench.send(to=0x4321)
+        bench.run(20)
+        assert (bench.settled.get(ticket) == RadioStatus.UNKNOWN_ADDRESS) is not reaches
+        bench.say(heard(source16=UNKNOWN16))
+    assert len(bench.requests) == 2 * reaches
+
+
+@pytest.mark.parametrize("address16", [*range(0xFFF8, 0x10000)])
+def test_no_node_is_called_by_an_address_that_means_several(address16: int) -> None:
+    bench = an_open_bench()
+    bench.say(heard(source16=address16))
+    assert isinstance(bench.events[-1], PayloadHeard)
+    source = bench.events[-1].received.source
+    assert source < 0xFFF8
+    bench.send(to=source)
+    assert (bench.requests[-1].destination64, bench.requests[-1].destination16) == (EUI64, UNKNOWN16)
+
+
+@pytest.mark.parametrize("eui64", [0, BROADCAST64, UNKNOWN64])
+def test_no_node_is_called_by_a_long_address_that_is_nobodys(eui64: int) -> None:
+    bench = an_open_bench()
+    bench.say(heard(source64=eui64))
+    bench.send(to=NODE)
+    assert (bench.requests[-1].destination64, bench.requests[-1].destination16) == (UNKNOWN64, NODE)
 
 
 def test_a_network_without_short_addresses_is_given_some() -> None:
@@ -552,9 +702,11 @@ def test_the_table_is_bounded_and_never_names_a_node_that_is_another(pairs: list
         assert table.learn(eui64=EUI64 + eui64, address16=address16) == (address, False)
 
 
-def test_nodes_that_would_be_allotted_the_same_address_get_two() -> None:
-    table = AddressTable()
-    first, second = (table.learn(eui64=eui64, address16=UNKNOWN16)[0] for eui64 in (0x1_0000, 0x1))
-    assert first != second
-    assert table.destination(first) == (0x1_0000, UNKNOWN16)
-    assert table.destination(second) == (0x1, UNKNOWN16)
+@given(first=u16, eui64s=st.lists(st.integers(1, 2**63), unique=True, min_size=1, max_size=50))
+def test_an_address_that_was_forgotten_is_not_another_nodes_soon(first: int, eui64s: list[int]) -> None:
+    """Somebody may still call the node by it."""
+    eui64s = [eui64 for eui64 in eui64s if eui64 != BROADCAST64]
+    table = AddressTable(capacity=1, first_allotted=first)
+    allotted = [table.learn(eui64=eui64, address16=UNKNOWN16)[0] for eui64 in eui64s]
+    assert len(set(allotted)) == len(eui64s)
+    assert all(1 <= address <= 0xFFF0 for address in allotted)

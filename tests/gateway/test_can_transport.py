@@ -172,6 +172,36 @@ def test_a_full_queue_costs_time_and_no_frame(error: can.CanOperationError) -> N
     asyncio.run(story())
 
 
+@pytest.mark.parametrize("closes", [False, True])
+def test_of_a_write_that_was_cancelled_nothing_goes_out_later(closes: bool) -> None:
+    """Else what was under way before a port was opened anew would come before the new opening's RESET."""
+
+    async def story() -> None:
+        name, is_full = next(_names), True
+        buses = CanBuses(open_bus=lambda spec: CanBus(FullNowAndThen(spec.channel, lambda: is_full, NO_BUFFER_SPACE), name="x"))
+        with can.Bus(interface="virtual", channel=name, ignore_config=True) as far:
+            port, other = [await buses.open(a_spec(name, unit=unit)) for unit in (1, 2)]
+            writes = [
+                asyncio.ensure_future(one.write(encode_message(a_body(number), unit=unit, direction=DOWN, is_fd=False)))
+                for one, unit, number in ((port, 1, 7), (other, 2, 8))
+            ]
+            await asyncio.sleep(0)
+            writes[0].cancel()
+            await asyncio.gather(writes[0], return_exceptions=True)
+            if closes:
+                await port.aclose()
+                port = await buses.open(a_spec(name, unit=1))
+            is_full = False
+            await writes[1]
+            await port.write(encode_message(a_body(9), unit=1, direction=DOWN, is_fd=False))
+            assert sent_by(far, 1, unit=2) == [a_body(8)]
+            assert sent_by(far, 1, unit=1) == [a_body(9)]
+            await port.aclose()
+            await other.aclose()
+
+    asyncio.run(story())
+
+
 def test_a_queue_that_stays_full_closes_the_port_and_says_why() -> None:
     async def story() -> None:
         always_full = lambda spec: CanBus(FullNowAndThen(spec.channel, lambda: True, NO_BUFFER_SPACE), name="x")  # noqa: E731

@@ -157,6 +157,19 @@ def test_an_urgent_payload_goes_ahead_of_those_that_wait(dialect: str) -> None:
 
 
 @every_dialect
+def test_a_payload_that_is_forgotten_before_it_was_written_is_not_sent(dialect: str) -> None:
+    line = Line(dialect)
+    line.run_until_open()
+    line.run(1000)
+    tickets = [line.host.send(destination=NODE, payload=b"%d" % number, now_ns=line.now_ns) for number in range(30)]
+    for ticket in tickets[20:25]:
+        line.host.forget(ticket)
+    line.run(3000)
+    assert [payload for _, payload in line.sent] == [b"%d" % number for number in range(30) if number not in range(20, 25)]
+    assert not set(tickets[20:25]) & line.settled.keys()
+
+
+@every_dialect
 def test_a_broadcast_goes_out_as_one(dialect: str) -> None:
     line = Line(dialect)
     line.run_until_open()

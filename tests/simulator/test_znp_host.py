@@ -12,7 +12,7 @@ from firmware_protocol.dialects.interface import (
 )
 from firmware_protocol.dialects.znp import radio_status_of
 from firmware_protocol.dialects.znp_opening import ZnpHostConfig
-from firmware_protocol.dialects.znp_window import MAX_QUEUE
+from firmware_protocol.dialects.znp_window import MAX_QUEUE, SendWindow
 from firmware_protocol.envelope import RadioReceived, RadioStatus
 from firmware_protocol.errors import LinkFullError
 from firmware_protocol.framing.znp import ZnpDecoder
@@ -21,7 +21,7 @@ from firmware_protocol.znp import frames as znp
 from firmware_protocol.znp.codec import Message, decode_command
 from firmware_protocol.znp.numbers import BIOBOT_CLUSTER, BIOBOT_ENDPOINT, Command, DeviceState, ZnpStatus
 from simulator.dongles.znp import ZnpDongleConfig
-from tests.simulator.znp_bench import CC2531, CC2531_WITH_LOADER, CC2652, EUI64, NODE, S, a_bench, frame, heard, opened, settled
+from tests.simulator.znp_bench import CC2531, CC2531_WITH_LOADER, CC2652, EUI64, MS, NODE, S, a_bench, frame, heard, opened, settled
 
 
 def test_what_is_heard_has_its_sender_and_quality_and_no_strength() -> None:
@@ -71,6 +71,73 @@ def test_a_chip_without_room_is_left_in_peace_for_a_while() -> None:
     bench.answer()
     bench.run(50)
     assert settled(bench) == dict.fromkeys(tickets[:16], RadioStatus.SENT) | dict.fromkeys(tickets[16:], RadioStatus.QUEUE_FULL)
+
+
+def test_a_transaction_number_in_use_is_given_to_no_other_payload() -> None:
+    """A payload whose route is looked for stays open while numbers go round."""
+    bench = opened()
+    slow = bench.host.send(destination=NODE, payload=b"slow", now_ns=bench.now_ns)
+    bench.run(50)
+    (open_one,) = bench.dongle.requests
+    bench.dongle.requests.clear()
+    tickets = []
+    for number in range(300):
+        tickets.append(bench.host.send(destination=NODE, payload=b"%d" % number, now_ns=bench.now_ns))
+        bench.run(4, step_ms=2)
+        bench.answer()
+        bench.run(4, step_ms=2)
+    assert settled(bench) == dict.fromkeys(tickets, RadioStatus.SENT)
+    bench.dongle.confirm(open_one.handle, RadioStatus.NO_ACK, now_ns=bench.now_ns)
+    bench.run(20)
+    assert settled(bench)[slow] == RadioStatus.NO_ACK
+
+
+def test_a_confirm_from_before_a_new_opening_settles_no_other_payload() -> None:
+    bench = opened()
+    bench.host.send(destination=NODE, payload=b"old", now_ns=bench.now_ns)
+    bench.run(50)
+    old = bench.dongle.requests.popleft()
+    bench.open()
+    bench.run_until_open()
+    tickets = []
+    for number in range(300):
+        tickets.append(bench.host.send(destination=NODE, payload=b"%d" % number, now_ns=bench.now_ns))
+        bench.run(4, step_ms=2)
+        if number < 299:
+            bench.answer()
+            bench.run(4, step_ms=2)
+    bench.dongle.confirm(old.handle, RadioStatus.NO_ACK, now_ns=bench.now_ns)
+    bench.run(20)
+    assert tickets[-1] not in settled(bench)
+    assert settled(bench) == dict.fromkeys(tickets[:-1], RadioStatus.SENT)
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 300)), max_size=600))
+def test_transactions_under_way_are_all_different_and_none_is_held_for_ever(steps: list[tuple[int, int]]) -> None:
+    """Whatever is sent, settled, forgotten and dropped; where all 256 numbers are in use, nothing is written."""
+    window = SendWindow(next_transaction=200)
+    now_ns, open_ones = 0, {}
+    for kind, which in steps:
+        if kind == 0:
+            now_ns += which * 10 * MS
+        elif kind == 1 and open_ones:
+            window.forget(open_ones[list(open_ones)[which % len(open_ones)]][0])
+        elif kind == 2 and open_ones:
+            transaction = list(open_ones)[which % len(open_ones)]
+            assert window.settle(transaction) in {open_ones.pop(transaction)[0], None}
+        else:
+            for _ in range(which // 10):
+                window.add(destination=NODE, payload=b"", is_urgent=True)
+            while (taken := window.take(now_ns)) is not None:
+                transaction, one = taken
+                before = open_ones.pop(transaction, None)
+                assert before is None or before[1] + 12 * S <= now_ns
+                open_ones[transaction] = (one.ticket, now_ns)
+    for ticket, _ in open_ones.values():
+        window.forget(ticket)
+    window.add(destination=NODE, payload=b"", is_urgent=True)
+    assert window.free_at_ns() is not None
+    assert window.take(now_ns + 13 * S) is not None
 
 
 def test_few_payloads_are_under_way_at_a_time_and_one_that_is_forgotten_makes_room() -> None:

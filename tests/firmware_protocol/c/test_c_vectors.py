@@ -17,7 +17,7 @@ from studies.c_wire import Decoded, Wire
 Vector = dict[str, Any]
 FOLDER = Path(firmware_protocol.__file__).parent / "vectors"
 KINDS = {layout.name: layout.kind for layout in (*UPLINK_LAYOUTS, *DOWNLINK_LAYOUTS, *ENVELOPE_LAYOUTS, *CARRIER_LAYOUTS)}
-REASONS = ("no_answer", "peer_restarted", "peer_reset")
+REASONS = ("no_answer", "peer_restarted", "peer_reset", "no_progress")
 
 
 def each(name: str) -> "pytest.MarkDecorator":
