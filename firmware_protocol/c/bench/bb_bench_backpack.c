@@ -8,13 +8,17 @@
 #define BATTERY_EMPTY_MV 3000u
 #define ENTRIES_PER_BATCH 4u
 #define SEQUENCE_AT 6u /* in a payload's header (WIRE_FORMAT.md section 5.1) */
-#define US_PER_S 1000000u
+#define MOST_BIPHASIC 500000u /* frequency_hz * pulse_width_us (section 6.5): two phases to a period */
+#define OWN_CHANNEL 255u
+#define SYMMETRIC_BIPHASIC 0u
 
 /* Capability bits (WIRE_FORMAT.md section 5.2). */
 #define CAN_BE_STIMULATED 1u
 #define TAKES_CONFIGURE 4u
 
 /* Limits of this backpack, as it tells and keeps them. */
+#define CHANNELS 0x0Fu
+#define WAVEFORMS (1u << SYMMETRIC_BIPHASIC)
 #define MAX_FREQUENCY_HZ 150u
 #define MAX_PULSE_WIDTH_US 10000u
 #define MAX_AMPLITUDE_MV 4000u
@@ -23,7 +27,8 @@
 enum mode { CRW = 0, S = 1 };
 enum cause { NATURAL = 0, COMMAND = 1 };
 enum action { START = 1, STOP = 2 };
-enum configuration_result { CONFIGURED = 0, BAD_CONFIGURATION = 1 };
+enum configuration_result { CONFIGURED = 0, NOT_SUPPORTED = 2 };
+enum verdict { FIT, UNFIT, BEYOND_LIMITS };
 
 static bool is_due(uint32_t at_ms, uint32_t now_ms)
 {
@@ -32,15 +37,14 @@ static bool is_due(uint32_t at_ms, uint32_t now_ms)
 
 void bb_bench_backpack_boot(struct bb_bench_backpack *backpack, uint8_t node, uint32_t now_ms)
 {
-    static const struct bb_configure configuration = {0, 0, -85, -90, 0, BB_BENCH_BATCH_MS};
     struct bb_hello hello = {{0, BB_BENCH_EUI64_1, 0, 0, 0, 0, 0, 0}, FIRMWARE, 0, CAN_BE_STIMULATED | TAKES_CONFIGURE, BB_PROTOCOL_VERSION};
     hello.eui64[0] = node;
     *backpack = (struct bb_bench_backpack){0};
-    bb_backpack_start(&backpack->messages, node, FIRST_BOOT, &hello);
-    backpack->configuration = configuration;
+    bb_backpack_start(&backpack->messages, node, FIRST_BOOT, &hello, now_ms);
+    backpack->report_period_ms = BB_BENCH_BATCH_MS;
     backpack->mode_since_ms = now_ms;
+    backpack->train_until_ms = now_ms;
     backpack->next_batch_ms = now_ms;
-    backpack->owes_limits = true;
     backpack->owes_status = true;
 }
 
@@ -66,12 +70,12 @@ static bool report(struct bb_bench_backpack *backpack, uint8_t type, struct bb_u
     return bb_backpack_report(&backpack->messages, message, now_ms);
 }
 
-static bool report_limits(struct bb_bench_backpack *backpack, uint32_t now_ms)
+static void report_limits(struct bb_bench_backpack *backpack, uint32_t now_ms)
 {
     struct bb_uplink message = {0};
     struct bb_limits *limits = &message.body.limits;
-    limits->channels = 0x0F;
-    limits->waveforms = 0x01;
+    limits->channels = CHANNELS;
+    limits->waveforms = WAVEFORMS;
     limits->max_frequency_hz = MAX_FREQUENCY_HZ;
     limits->max_pulse_width_us = MAX_PULSE_WIDTH_US;
     limits->max_amplitude_mv = MAX_AMPLITUDE_MV;
@@ -80,7 +84,7 @@ static bool report_limits(struct bb_bench_backpack *backpack, uint32_t now_ms)
     limits->battery_mv = BATTERY_MV;
     limits->battery_empty_mv = BATTERY_EMPTY_MV;
     limits->encounter_capacity = BB_BENCH_REPORTS;
-    return report(backpack, BB_TYPE_LIMITS, &message, now_ms);
+    (void)report(backpack, BB_TYPE_LIMITS, &message, now_ms); /* owed until there is room */
 }
 
 static bool report_status(struct bb_bench_backpack *backpack, uint32_t now_ms)
@@ -99,13 +103,11 @@ static bool report_configuration(struct bb_bench_backpack *backpack, uint32_t no
 {
     struct bb_uplink message = {0};
     struct bb_configuration_report *told = &message.body.configuration_report;
-    told->token = backpack->configuration.token;
+    told->token = backpack->configuration_token;
     told->result = backpack->configuration_result;
-    told->beacon_period_ms = backpack->configuration.beacon_period_ms;
-    told->rssi_enter_dbm = backpack->configuration.rssi_enter_dbm;
-    told->rssi_exit_dbm = backpack->configuration.rssi_exit_dbm;
-    told->gap_tolerance_ms = backpack->configuration.gap_tolerance_ms;
-    told->report_period_ms = backpack->configuration.report_period_ms;
+    told->rssi_enter_dbm = INT8_MIN; /* it has no beacons: section 5.11 */
+    told->rssi_exit_dbm = INT8_MIN;
+    told->report_period_ms = backpack->report_period_ms;
     return report(backpack, BB_TYPE_CONFIGURATION_REPORT, &message, now_ms);
 }
 
@@ -124,38 +126,125 @@ static void report_encounters(struct bb_bench_backpack *backpack, uint32_t now_m
     }
     if (report(backpack, BB_TYPE_ENCOUNTER_BATCH, &message, now_ms)) {
         backpack->next_report = index; /* cut off before this, the batch is said twice: nobody minds */
-        backpack->next_batch_ms = now_ms + backpack->configuration.report_period_ms;
+        backpack->next_batch_ms = now_ms + backpack->report_period_ms;
     }
 }
 
-static bool answer(struct bb_bench_backpack *backpack, uint32_t now_ms)
-{
-    return bb_backpack_answer(&backpack->messages, backpack->answered_command, backpack->answer, backpack->answered_at_ms, backpack->mode,
-                              now_ms);
-}
+/* --- stimulation (WIRE_FORMAT.md section 6.8) -------------------------------------------------------------------------------- */
 
-static void end_hold(struct bb_bench_backpack *backpack, uint32_t now_ms)
+static void change_mode(struct bb_bench_backpack *backpack, uint8_t mode, uint8_t cause, uint32_t now_ms)
 {
-    if (!backpack->is_holding || !is_due(backpack->hold_until_ms, now_ms)) {
-        return;
-    }
-    backpack->is_holding = false;
-    if (backpack->mode == S) {
-        backpack->mode = CRW;
-        backpack->cause = NATURAL;
+    if (mode != backpack->mode || cause != backpack->cause) {
+        backpack->mode = mode;
+        backpack->cause = cause;
         backpack->mode_since_ms = now_ms;
         backpack->owes_status = true;
     }
 }
+
+static enum verdict judge(const struct bb_stimulate *command)
+{
+    /* Of the waveforms it knows the symmetric one alone, so a monophasic pulse of any length is beyond its limits. */
+    uint32_t most = command->waveform == 2u ? 2u * MOST_BIPHASIC : MOST_BIPHASIC;
+    uint32_t product = (uint32_t)command->pulse_width_us * command->frequency_hz;
+    if (command->duration_ms == 0u) {
+        return command->action <= STOP ? FIT : UNFIT; /* a start or stop without a train */
+    }
+    if (product == 0u || product > most) {
+        return UNFIT;
+    }
+    if ((command->channel != OWN_CHANNEL && (command->channel > 7u || (CHANNELS >> command->channel & 1u) == 0u))
+        || (WAVEFORMS >> command->waveform & 1u) == 0u || command->frequency_hz > MAX_FREQUENCY_HZ
+        || command->pulse_width_us > MAX_PULSE_WIDTH_US || command->amplitude_mv > MAX_AMPLITUDE_MV
+        || command->duration_ms > MAX_DURATION_MS) {
+        return BEYOND_LIMITS;
+    }
+    return FIT;
+}
+
+static void answer(struct bb_bench_backpack *backpack, const struct bb_stimulate *command, uint8_t result, uint32_t now_ms)
+{
+    bb_backpack_answer(&backpack->messages, command->command, result, now_ms, backpack->mode, now_ms);
+}
+
+/* Obey: give the train, if it is fit, and do with the insect what the action says. A turn leaves one that is held still as it is. */
+static void execute(struct bb_bench_backpack *backpack, const struct bb_stimulate *command, uint32_t now_ms)
+{
+    backpack->train_until_ms = now_ms + (judge(command) == FIT ? command->duration_ms : 0u);
+    if (command->action <= STOP) {
+        backpack->is_held_still = command->action == STOP;
+        change_mode(backpack, command->action == STOP ? S : CRW, COMMAND, now_ms);
+    } else if (backpack->mode == CRW) {
+        change_mode(backpack, CRW, COMMAND, now_ms);
+    }
+    if (command->action <= STOP || !backpack->is_held_still) {
+        backpack->is_holding = command->hold_ms != 0u;
+        backpack->hold_until_ms = now_ms + command->hold_ms;
+    }
+    answer(backpack, command, BB_STIMULATION_DONE, now_ms);
+}
+
+static void end_hold(struct bb_bench_backpack *backpack, uint32_t now_ms)
+{
+    if (backpack->is_holding && is_due(backpack->hold_until_ms, now_ms)) {
+        backpack->is_holding = false;
+        backpack->is_held_still = false;
+        change_mode(backpack, CRW, NATURAL, now_ms);
+    }
+}
+
+/* Oldest first: execute what waited for the end of a train, and refuse what waited for longer than it might. */
+static void serve_queue(struct bb_bench_backpack *backpack, uint32_t now_ms)
+{
+    uint8_t n_kept = 0;
+    uint8_t i;
+    for (i = 0; i < backpack->n_queued; i++) {
+        const struct bb_bench_waiting *one = &backpack->queue[i];
+        if (now_ms - one->received_ms > one->command.ttl_ms) {
+            answer(backpack, &one->command, BB_STIMULATION_EXPIRED, now_ms);
+        } else if (is_due(backpack->train_until_ms, now_ms)) {
+            execute(backpack, &one->command, now_ms);
+        } else {
+            backpack->queue[n_kept++] = *one;
+        }
+    }
+    backpack->n_queued = n_kept;
+}
+
+static void obey(struct bb_bench_backpack *backpack, const struct bb_stimulate *command, uint32_t now_ms)
+{
+    enum verdict verdict = judge(command);
+    uint8_t i;
+    if (command->action == STOP) {
+        execute(backpack, command, now_ms); /* and is answered first, where there is little room */
+        for (i = 0; i < backpack->n_queued; i++) {
+            answer(backpack, &backpack->queue[i].command, BB_STIMULATION_EXPIRED, now_ms);
+        }
+        backpack->n_queued = 0;
+    } else if (verdict == UNFIT) {
+        answer(backpack, command, BB_STIMULATION_BAD_PARAMETER, now_ms);
+    } else if (verdict == BEYOND_LIMITS || backpack->n_queued == BB_BENCH_QUEUE) {
+        answer(backpack, command, BB_STIMULATION_REFUSED_LIMIT, now_ms);
+    } else {
+        backpack->queue[backpack->n_queued].command = *command;
+        backpack->queue[backpack->n_queued].received_ms = now_ms;
+        backpack->n_queued++;
+        serve_queue(backpack, now_ms);
+    }
+}
+
+/* --- on the air -------------------------------------------------------------------------------------------------------------- */
 
 uint8_t bb_bench_backpack_speak(struct bb_bench_backpack *backpack, uint32_t now_ms, uint8_t payload[BB_MAX_RADIO_PAYLOAD])
 {
     uint32_t draw = bb_bench_mix((uint32_t)backpack->messages.node << 16 ^ backpack->n_draws);
     uint8_t length;
     end_hold(backpack, now_ms);
-    backpack->owes_answer = backpack->owes_answer && !answer(backpack, now_ms);
+    serve_queue(backpack, now_ms);
+    if (bb_backpack_owes_limits(&backpack->messages)) {
+        report_limits(backpack, now_ms);
+    }
     backpack->owes_status = backpack->owes_status && !report_status(backpack, now_ms);
-    backpack->owes_limits = backpack->owes_limits && !report_limits(backpack, now_ms);
     backpack->owes_configuration = backpack->owes_configuration && !report_configuration(backpack, now_ms);
     report_encounters(backpack, now_ms);
     length = bb_backpack_next(&backpack->messages, now_ms, (uint16_t)(draw >> 16), payload);
@@ -165,84 +254,22 @@ uint8_t bb_bench_backpack_speak(struct bb_bench_backpack *backpack, uint32_t now
     return length;
 }
 
-/* --- what it hears ----------------------------------------------------------------------------------------------------------- */
-
-static bool is_fit(const struct bb_stimulate *command)
-{
-    if (command->waveform != 0u) {
-        return false;
-    }
-    if (command->duration_ms == 0u) {
-        return command->action <= STOP; /* a start or stop without a train */
-    }
-    return command->frequency_hz != 0u && command->frequency_hz <= MAX_FREQUENCY_HZ && command->amplitude_mv <= MAX_AMPLITUDE_MV
-        && command->duration_ms <= MAX_DURATION_MS && command->pulse_width_us != 0u && command->pulse_width_us <= MAX_PULSE_WIDTH_US
-        && (uint32_t)command->pulse_width_us * command->frequency_hz <= US_PER_S;
-}
-
-static void execute(struct bb_bench_backpack *backpack, const struct bb_stimulate *command, uint32_t now_ms)
-{
-    uint8_t mode = command->action == STOP ? S : command->action == START ? CRW : backpack->mode;
-    if (mode != backpack->mode) {
-        backpack->mode = mode;
-        backpack->mode_since_ms = now_ms;
-        backpack->owes_status = true;
-    }
-    backpack->cause = mode == S ? COMMAND : NATURAL;
-    backpack->is_holding = command->hold_ms != 0u;
-    backpack->hold_until_ms = now_ms + command->hold_ms;
-}
-
-static void obey(struct bb_bench_backpack *backpack, const struct bb_stimulate *command, uint32_t now_ms)
-{
-    /* An unfit stop stops all the same: it is the train that is left out. */
-    bool is_obeyed = command->action == STOP || is_fit(command);
-    if (is_obeyed) {
-        execute(backpack, command, now_ms);
-    }
-    backpack->answer = is_obeyed ? BB_STIMULATION_DONE : BB_STIMULATION_BAD_PARAMETER;
-    backpack->answered_command = command->command;
-    backpack->answered_at_ms = now_ms;
-    backpack->owes_answer = true;
-}
-
-/* 0 of a period and -128 of a strength leave what there is (WIRE_FORMAT.md section 6.6). */
-static void change_u16(uint16_t *value, uint16_t wish)
-{
-    if (wish != 0u) {
-        *value = wish;
-    }
-}
-
-static void change_dbm(int8_t *value, int8_t wish)
-{
-    if (wish != INT8_MIN) {
-        *value = wish;
-    }
-}
-
+/* All of it or nothing; of what may be wished, a pack without beacons has the report period alone (WIRE_FORMAT.md section 6.6). */
 static void configure(struct bb_bench_backpack *backpack, const struct bb_configure *wish)
 {
-    struct bb_configure changed = backpack->configuration;
-    change_u16(&changed.beacon_period_ms, wish->beacon_period_ms);
-    change_u16(&changed.gap_tolerance_ms, wish->gap_tolerance_ms);
-    change_u16(&changed.report_period_ms, wish->report_period_ms);
-    change_dbm(&changed.rssi_enter_dbm, wish->rssi_enter_dbm);
-    change_dbm(&changed.rssi_exit_dbm, wish->rssi_exit_dbm);
-    backpack->configuration_result = changed.rssi_exit_dbm <= changed.rssi_enter_dbm ? CONFIGURED : BAD_CONFIGURATION;
-    if (backpack->configuration_result == CONFIGURED) {
-        backpack->configuration = changed;
+    bool is_of_beacons = wish->beacon_period_ms != 0u || wish->gap_tolerance_ms != 0u || wish->rssi_enter_dbm != INT8_MIN
+        || wish->rssi_exit_dbm != INT8_MIN;
+    backpack->configuration_result = is_of_beacons ? NOT_SUPPORTED : CONFIGURED;
+    if (!is_of_beacons && wish->report_period_ms != 0u) {
+        backpack->report_period_ms = wish->report_period_ms;
     }
 }
 
-void bb_bench_backpack_hear(struct bb_bench_backpack *backpack, const uint8_t *payload, uint8_t length, uint32_t now_ms)
+void bb_bench_backpack_hear(struct bb_bench_backpack *backpack, const uint8_t *payload, uint8_t length, bool is_broadcast, uint32_t now_ms)
 {
     struct bb_downlink message;
-    bool is_ours = bb_backpack_receive(&backpack->messages, payload, length, now_ms, &message);
-    if (backpack->messages.is_hello_owed) {
-        backpack->owes_limits = true; /* they follow a Hello */
-    }
-    if (!is_ours) {
+    uint16_t chance = (uint16_t)bb_bench_mix((uint32_t)backpack->messages.node << 16 ^ backpack->n_draws++);
+    if (!bb_backpack_receive(&backpack->messages, payload, length, is_broadcast, now_ms, chance, &message)) {
         return;
     }
     if (message.header.type == BB_TYPE_STIMULATE) {
@@ -252,9 +279,9 @@ void bb_bench_backpack_hear(struct bb_bench_backpack *backpack, const uint8_t *p
     backpack->configuration_result = CONFIGURED;
     if (message.header.type == BB_TYPE_CONFIGURE) {
         configure(backpack, &message.body.configure);
-        backpack->configuration.token = message.body.configure.token;
+        backpack->configuration_token = message.body.configure.token;
     } else {
-        backpack->configuration.token = message.body.configuration_request.token;
+        backpack->configuration_token = message.body.configuration_request.token;
     }
-    backpack->owes_configuration = true;
+    backpack->owes_configuration = !report_configuration(backpack, now_ms);
 }

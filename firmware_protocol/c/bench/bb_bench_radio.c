@@ -84,7 +84,7 @@ static void deliver(const struct downlink *one)
     for (i = 0; i < BB_BENCH_NODES; i++) {
         struct bb_bench_backpack *to = &kept.backpacks[i];
         if (one->destination == BROADCAST || one->destination == FIRST_ADDRESS + to->messages.node) {
-            bb_bench_backpack_hear(to, one->payload, one->length, tick_of(to));
+            bb_bench_backpack_hear(to, one->payload, one->length, one->destination == BROADCAST, tick_of(to));
             status = BB_RADIO_SENT;
         }
     }

@@ -1,7 +1,8 @@
 /* The message side of a backpack under any base station, clock and owner.
  *
  * Laws: what goes on the air is a message of this backpack, with the time of sending; numbers are given in order and span at most 32; a
- * number stands for one message for good; a command is the owner's to obey once; in the end all is acknowledged and it falls silent.
+ * number stands for one message for good; a command is the owner's to obey once; no command has two answers under way; reports leave two slots
+ * and two numbers to answers; in the end all is acknowledged and it falls silent.
  */
 #include "biobot_backpack.h"
 #include "biobot_crc.h"
@@ -21,6 +22,40 @@ static uint16_t said[0x10000]; /* by number: CRC of the body that it stood for, 
 static uint8_t is_said[0x10000];
 static uint16_t said_at[1024];
 static uint16_t n_said;
+
+static bool is_answer(uint8_t type)
+{
+    return type == BB_TYPE_HELLO || type == BB_TYPE_CONFIGURATION_REPORT || type == BB_TYPE_STIMULATE_REPLY;
+}
+
+/* After a report was taken, two slots and two numbers are left at least; no two outstanding answers are of one command. */
+static void check_slots(bool was_reported)
+{
+    uint8_t n_free = 0;
+    uint16_t furthest = 0;
+    for (uint8_t i = 0; i < BB_BACKPACK_SLOTS; i++) {
+        const struct bb_backpack_slot *one = &backpack->slots[i];
+        uint16_t behind = (uint16_t)(backpack->next_sequence - one->sequence);
+        if (one->length == 0) {
+            n_free++;
+            continue;
+        }
+        if (behind > furthest) furthest = behind;
+        for (uint8_t k = 0; k < i; k++) {
+            const struct bb_backpack_slot *other = &backpack->slots[k];
+            LAW(other->length == 0 || one->payload[0] != BB_TYPE_STIMULATE_REPLY || other->payload[0] != BB_TYPE_STIMULATE_REPLY
+                || memcmp(one->payload + 12, other->payload + 12, 4) != 0);
+        }
+    }
+    if (was_reported) LAW(n_free >= 2 && furthest <= 31);
+}
+
+static void report(struct bb_uplink *message)
+{
+    /* The owner answers commands by bb_backpack_answer, and a Hello is not its own. */
+    if (message->header.type == BB_TYPE_STIMULATE_REPLY || message->header.type == BB_TYPE_HELLO) return;
+    if (bb_backpack_report(backpack, message, now_ms)) check_slots(!is_answer(message->header.type));
+}
 
 static void note(uint16_t sequence, uint16_t sum)
 {
@@ -53,7 +88,10 @@ static uint8_t speak(uint16_t chance)
 static void hear(uint8_t *octets, uint8_t length)
 {
     struct bb_downlink message;
-    if (!bb_backpack_receive(backpack, octets, length, now_ms, &message)) return;
+    bool is_broadcast = length != 0 && (octets[length - 1] & 1) != 0;
+    bool is_owners = bb_backpack_receive(backpack, octets, length, is_broadcast, now_ms, (uint16_t)(now_ms * 7919u), &message);
+    check_slots(false);
+    if (!is_owners) return;
     LAW(message.header.type == BB_TYPE_STIMULATE || message.header.type == BB_TYPE_CONFIGURE
         || message.header.type == BB_TYPE_CONFIGURATION_REQUEST);
     if (message.header.type != BB_TYPE_STIMULATE) return;
@@ -122,14 +160,14 @@ static void act(struct input *input)
         break;
     case 3: /* decoded from the input, so that it is a message of the format */
         block = take_block(input, BB_MAX_RADIO_PAYLOAD, &length);
-        if (bb_decode_uplink(block, length, &message) == BB_OK) (void)bb_backpack_report(backpack, &message, now_ms);
+        if (bb_decode_uplink(block, length, &message) == BB_OK) report(&message);
         free(block);
         break;
     case 4:
         memset(&message, 0, sizeof message);
         message.header.type = BB_TYPE_STATUS;
         message.body.status.mode_since_ms = take_u8(input);
-        (void)bb_backpack_report(backpack, &message, now_ms);
+        report(&message);
         break;
     case 5:
         for (uint8_t n = 0; speak((uint16_t)(action << 8)) != 0;) LAW(++n <= MOST_AT_ONCE);
@@ -140,7 +178,8 @@ static void act(struct input *input)
         break;
     default:
         command = n_obeyed ? obeyed[(action >> 3) % (n_obeyed < BB_BACKPACK_COMMANDS ? n_obeyed : BB_BACKPACK_COMMANDS)] : action;
-        (void)bb_backpack_answer(backpack, command, (uint8_t)((action >> 3) % 5), now_ms, action >> 7, now_ms);
+        bb_backpack_answer(backpack, command, (uint8_t)((action >> 3) % 5), now_ms, action >> 7, now_ms);
+        check_slots(false);
         break;
     }
     (void)bb_backpack_next_deadline(backpack, now_ms, &at_ms);
@@ -149,7 +188,8 @@ static void act(struct input *input)
 static void check_that_it_ends(void)
 {
     uint32_t at_ms;
-    for (int round = 0; round < 4; round++) {
+    for (unsigned round = 0; round < 3 + BB_BACKPACK_COMMANDS / BB_BACKPACK_SLOTS; round++) {
+        now_ms += 1000; /* an answer to a broadcast may wait as long */
         for (uint8_t n = 0; speak(0) != 0;) LAW(++n <= MOST_AT_ONCE);
         hear_acknowledge(backpack->next_sequence, 0);
     }
@@ -167,7 +207,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     now_ms = 0xFFFFF000u;
     n_obeyed = 0;
     while (n_said) is_said[said_at[--n_said]] = 0;
-    bb_backpack_start(backpack, NODE, BOOT, &hello);
+    bb_backpack_start(backpack, NODE, BOOT, &hello, now_ms);
     while (input.left) act(&input);
     check_that_it_ends();
     free(backpack);

@@ -7,17 +7,21 @@ from itertools import pairwise
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from firmware_protocol.message_codec import decode_uplink, encode_downlink, encode_uplink
 from firmware_protocol.messages import (
     Acknowledge,
     Action,
+    ConfigurationReport,
     ConfigurationRequest,
+    ConfigurationResult,
     Downlink,
     EncounterBatch,
     EncounterEntry,
     Hello,
     HelloRequest,
+    Limits,
     MessageFault,
     StimulateReply,
     StimulationResult,
@@ -34,6 +38,14 @@ from studies.c_wire import Wire
 NODE, BOOT = NodeId(77), BootId(5)
 HEADER = UplinkHeader(node=NODE, boot=BOOT, sequence=0, sent_ms=Milliseconds(0))
 HELLO = Hello(eui64=0x1122334455667788, firmware=0x0102, beacon_period_ms=100, capabilities=5, newest_version=1)
+SETTINGS = ConfigurationReport(
+    token=1, result=ConfigurationResult.DONE, beacon_period_ms=0, rssi_enter_dbm=RssiDbm(-128), rssi_exit_dbm=RssiDbm(-128),
+    gap_tolerance_ms=0, report_period_ms=1_000,
+)  # fmt: skip
+LIMITS = Limits(
+    channels=7, waveforms=1, max_frequency_hz=150, max_pulse_width_us=10_000, max_amplitude_mv=4_000, max_duration_ms=1_000, min_gap_ms=0,
+    max_on_ms_per_minute=60_000, battery_mv=3_700, battery_empty_mv=3_000, encounter_capacity=256,
+)  # fmt: skip
 BODY_AT = 16  # of struct bb_uplink, behind the header, where pointers have 8 octets
 
 
@@ -64,7 +76,7 @@ class Air:
 
     def __post_init__(self) -> None:
         self.library = self.wire.library
-        for name in ("report", "receive", "answer", "next_deadline"):
+        for name in ("report", "receive", "owes_limits", "next_deadline"):
             getattr(self.library, f"bb_backpack_{name}").restype = ctypes.c_bool
         self.library.bb_backpack_next.restype = ctypes.c_uint8
         self.memory = ctypes.create_string_buffer(4096)
@@ -72,7 +84,7 @@ class Air:
         self.message = ctypes.create_string_buffer(256)
         assert not isinstance(self.wire.decode_uplink(encode_uplink(HEADER, HELLO)), MessageFault)
         hello = ctypes.create_string_buffer(self.wire._memory.raw[BODY_AT : BODY_AT + 64])
-        self.library.bb_backpack_start(self.memory, ctypes.c_uint16(NODE), ctypes.c_uint16(BOOT), hello)
+        self.library.bb_backpack_start(self.memory, ctypes.c_uint16(NODE), ctypes.c_uint16(BOOT), hello, self.now)
 
     @property
     def now(self) -> ctypes.c_uint32:
@@ -82,17 +94,34 @@ class Air:
         assert not isinstance(self.wire.decode_uplink(encode_uplink(HEADER, message)), MessageFault)
         return bool(self.library.bb_backpack_report(self.memory, self.wire._memory, self.now))
 
-    def tell(self, message: Downlink) -> bool:
+    def tell(self, message: Downlink, *, is_broadcast: bool = False, chance: int = 0x8000) -> bool:
         """Let the backpack hear a message; True: it is the owner's to answer."""
-        payload = encode_downlink(3, message)
-        return bool(self.library.bb_backpack_receive(self.memory, payload, ctypes.c_uint8(len(payload)), self.now, self.message))
+        return self.tell_payload(encode_downlink(3, message), is_broadcast=is_broadcast, chance=chance)
 
-    def answer(self, number: int, result: StimulationResult) -> bool:
+    def tell_payload(self, payload: bytes, *, is_broadcast: bool = False, chance: int = 0x8000) -> bool:
         return bool(
-            self.library.bb_backpack_answer(
-                self.memory, ctypes.c_uint32(number), ctypes.c_uint8(result), self.now, ctypes.c_uint8(WireMode.CRW), self.now
+            self.library.bb_backpack_receive(
+                self.memory, payload, ctypes.c_uint8(len(payload)), ctypes.c_bool(is_broadcast), self.now, ctypes.c_uint16(chance),
+                self.message,
             )
+        )  # fmt: skip
+
+    def answer(self, number: int, result: StimulationResult) -> None:
+        self.library.bb_backpack_answer(
+            self.memory, ctypes.c_uint32(number), ctypes.c_uint8(result), self.now, ctypes.c_uint8(WireMode.CRW), self.now
         )
+
+    def describe(self, hello: Hello) -> None:
+        assert not isinstance(self.wire.decode_uplink(encode_uplink(HEADER, hello)), MessageFault)
+        body = ctypes.create_string_buffer(self.wire._memory.raw[BODY_AT : BODY_AT + 64])
+        self.library.bb_backpack_describe(self.memory, body, self.now)
+
+    @property
+    def owes_limits(self) -> bool:
+        return bool(self.library.bb_backpack_owes_limits(self.memory))
+
+    def answers(self) -> list[tuple[int, StimulationResult]]:
+        return [(reply.command, reply.result) for reply in self.taken.values() if isinstance(reply, StimulateReply)]
 
     def next_deadline_ms(self) -> int | None:
         at = ctypes.c_uint32()
@@ -167,44 +196,91 @@ def test_what_is_not_acknowledged_is_repeated_after_a_second_and_ever_more_rarel
     assert len(set(waits)) > 1
 
 
-def test_room_for_answers_is_kept_and_nothing_that_has_a_number_is_dropped(wire: Wire) -> None:
+def test_room_for_answers_is_kept_and_what_has_none_is_said_when_there_is(wire: Wire) -> None:
     """Of eight slots the hello takes one, reports may fill up to the last two."""
     air = Air(wire, acknowledges=False)
     air.run(1)
     assert [air.report(batch(number)) for number in range(7)] == [True] * 5 + [False] * 2
-    assert air.tell(command(1))
-    assert air.answer(1, StimulationResult.DONE)
-    assert air.tell(command(2))
-    assert air.answer(2, StimulationResult.REFUSED_LIMIT)
-    assert air.tell(command(3))
-    assert not air.answer(3, StimulationResult.DONE)
+    for number, result in ((1, StimulationResult.DONE), (2, StimulationResult.REFUSED_LIMIT), (3, StimulationResult.DONE)):
+        assert air.tell(command(number))
+        air.answer(number, result)
     air.run(1)
     assert sorted(air.taken) == list(range(8))
+    assert air.answers() == [(1, StimulationResult.DONE), (2, StimulationResult.REFUSED_LIMIT)]
 
     air.acknowledges = True
-    air.run(2)
+    air.run(1)
 
-    assert air.answer(3, StimulationResult.DONE)
     assert air.next_deadline_ms() == air.now_ms & 0xFFFF_FFFF
     air.run(2)
+    assert air.answers()[2:] == [(3, StimulationResult.DONE)]
     assert len(air.taken) == 9
     assert air.next_deadline_ms() is None
 
 
+@given(st.lists(st.sampled_from(["hello", "stop", "report", "settings", "time"]), max_size=60), st.booleans())
+def test_nothing_that_is_said_while_nobody_acknowledges_keeps_a_stop_from_being_confirmed(
+    wire: Wire, acts: list[str], is_broadcast: bool
+) -> None:
+    air = Air(wire, acknowledges=False)
+    air.tell(command(7))
+    air.answer(7, StimulationResult.DONE)
+    for number, act in enumerate(acts):
+        match act:
+            case "hello":
+                air.tell(HelloRequest(), is_broadcast=is_broadcast)
+            case "stop":
+                air.tell(command(7))
+            case "report":
+                air.report(batch(number))
+            case "settings":
+                air.report(SETTINGS)
+            case _:
+                air.run(3)
+    air.tell(command(8))
+    air.answer(8, StimulationResult.EXPIRED)
+    air.run(20)
+
+    assert air.answers() == [(7, StimulationResult.DONE), (8, StimulationResult.EXPIRED)]
+    assert list(air.taken.values()).count(HELLO) == 1
+
+
+def test_reports_leave_two_numbers_of_the_window_and_the_last_is_for_commands_alone(wire: Wire) -> None:
+    """The base station has all but number 0, the hello's: slots are free, and numbers are not."""
+    air = Air(wire, acknowledges=False)
+    taken = 0
+    while air.report(batch(taken)):
+        taken += 1
+        air.tell(Acknowledge(boot=BOOT, next_sequence=0, bitmap=2**32 - 1))
+    assert taken == 30
+    air.describe(HELLO)
+    air.tell(HelloRequest())
+    assert not air.report(SETTINGS)
+    air.tell(command(1))
+    air.answer(1, StimulationResult.DONE)
+    air.run(1)
+    assert sorted(air.taken) == [0, 31, 32]
+    assert [type(air.taken[number]) for number in (31, 32)] == [Hello, StimulateReply]
+
+
 def test_a_command_is_handed_out_once_and_a_repetition_is_answered(wire: Wire) -> None:
+    """By the answer that is under way; by another once that is acknowledged."""
     air = Air(wire)
     assert air.tell(command(9))
     assert not air.tell(command(9))  # its owner has not answered yet
-    assert air.answer(9, StimulationResult.DONE)
+    air.answer(9, StimulationResult.DONE)
+    assert not air.tell(command(9))
+    air.run(1)
     assert not air.tell(command(9))
     assert air.tell(command(10))
-    assert air.answer(10, StimulationResult.EXPIRED)
+    air.answer(10, StimulationResult.EXPIRED)
+    air.answer(10, StimulationResult.DONE)  # decided once
+    air.run(1)
     assert not air.tell(command(10))
 
     air.run(3)
 
-    replies = [(reply.command, reply.result) for reply in air.taken.values() if isinstance(reply, StimulateReply)]
-    assert sorted(replies) == [
+    assert air.answers() == [
         (9, StimulationResult.DONE),
         (9, StimulationResult.ALREADY_DONE),
         (10, StimulationResult.EXPIRED),
@@ -212,11 +288,22 @@ def test_a_command_is_handed_out_once_and_a_repetition_is_answered(wire: Wire) -
     ]
 
 
+def test_a_repeated_command_brings_its_answer_again_at_once(wire: Wire) -> None:
+    air = Air(wire, acknowledges=False)
+    air.tell(command(9))
+    air.answer(9, StimulationResult.DONE)
+    air.run(400)
+    before = len(air.copies)
+    air.tell(command(9))
+    air.run(1)
+    assert [sequence for sequence, _ in air.copies[before:]] == [1]
+
+
 def test_a_command_is_forgotten_after_32_newer_ones(wire: Wire) -> None:
     air = Air(wire)
     for number in range(33):
         assert air.tell(command(number))
-        assert air.answer(number, StimulationResult.DONE)
+        air.answer(number, StimulationResult.DONE)
         air.run(1)
 
     assert not air.tell(command(1))
@@ -234,9 +321,19 @@ def test_a_time_sync_is_answered_with_both_instants_and_not_repeated(wire: Wire)
     assert (header.sequence, header.sent_ms) == (0, 1_250)
 
 
-def test_a_hello_request_brings_a_hello_and_hurries_the_rest(wire: Wire) -> None:
+def test_a_boot_begins_with_a_hello_and_owes_the_limits(wire: Wire) -> None:
+    air = Air(wire)
+    assert air.owes_limits
+    assert air.report(LIMITS)
+    assert not air.owes_limits
+    air.run(1)
+    assert [air.taken[number] for number in sorted(air.taken)] == [HELLO, LIMITS]
+
+
+def test_a_hello_request_hurries_what_is_under_way_and_brings_no_second_hello(wire: Wire) -> None:
     air = Air(wire, acknowledges=False)
     air.report(batch(1))
+    air.report(LIMITS)
     air.run(200)
     before = len(air.copies)
 
@@ -244,7 +341,68 @@ def test_a_hello_request_brings_a_hello_and_hurries_the_rest(wire: Wire) -> None
     air.run(1)
 
     assert [sequence for sequence, _ in air.copies[before:]] == [0, 1, 2]
-    assert list(air.taken.values()).count(HELLO) == 2
+    assert not air.owes_limits
+
+
+def test_a_hello_request_brings_another_hello_and_its_limits_once_the_last_one_is_acknowledged(wire: Wire) -> None:
+    air = Air(wire)
+    air.report(LIMITS)
+    air.run(2)
+    air.tell(HelloRequest())
+    assert air.owes_limits
+    assert air.report(LIMITS)
+    air.run(2)
+    assert [air.taken[number] for number in sorted(air.taken)] == [HELLO, LIMITS, HELLO, LIMITS]
+
+
+def test_a_hello_that_says_something_new_goes_beside_the_one_under_way(wire: Wire) -> None:
+    air = Air(wire, acknowledges=False)
+    air.run(1)
+    news = replace(HELLO, beacon_period_ms=300)
+    air.describe(news)
+    air.tell(HelloRequest())
+    air.run(1)
+    assert [air.taken[number] for number in sorted(air.taken)] == [HELLO, news]
+
+
+@given(chance=st.integers(0, 0xFFFF))
+def test_a_broadcast_is_answered_after_a_random_wait_of_up_to_a_second_and_a_unicast_at_once(wire: Wire, chance: int) -> None:
+    for is_broadcast in (False, True):
+        air = Air(wire)
+        air.report(LIMITS)
+        air.run(2)
+        air.copies.clear()
+        asked_ms = air.now_ms
+        air.tell(HelloRequest(), is_broadcast=is_broadcast, chance=chance)
+        assert air.report(LIMITS)
+        air.run(1_100, step_ms=1)
+        waits = {at_ms - asked_ms for sequence, at_ms in air.copies if sequence in (2, 3)}
+        assert waits == {1_000 * chance >> 16 if is_broadcast else 0}
+
+
+@given(chance=st.integers(0, 0xFFFF))
+def test_a_broadcast_of_a_configuration_is_answered_after_a_random_wait(wire: Wire, chance: int) -> None:
+    air = Air(wire)
+    air.run(2)
+    asked_ms = air.now_ms
+    assert air.tell(ConfigurationRequest(token=1), is_broadcast=True, chance=chance)
+    assert air.report(SETTINGS)
+    assert air.report(batch(1))  # no answer: at once
+    air.run(1_100, step_ms=1)
+    assert [(sequence, at_ms - asked_ms) for sequence, at_ms in sorted(air.copies)[1:]] == [(1, 1_000 * chance >> 16), (2, 0)]
+
+
+def test_progress_brings_distant_repetitions_forward_to_about_a_second(wire: Wire) -> None:
+    """WIRE_FORMAT.md section 5.12: 0.75 to 1.25 s after the Acknowledge, and 2 s after that."""
+    air = Air(wire, acknowledges=False)
+    air.report(batch(1))
+    air.run(600)
+    before, heard_ms = len(air.copies), air.now_ms
+    air.tell(Acknowledge(boot=BOOT, next_sequence=1, bitmap=0))
+    air.run(40)
+    waits = [at_ms - heard_ms for sequence, at_ms in air.copies[before:] if sequence == 1]
+    assert 750 <= waits[0] <= 1_350
+    assert 1_500 <= waits[1] - waits[0] <= 2_600
 
 
 @pytest.mark.parametrize(("boot", "first"), [(6, 1), (5, 3), (4, 0)])
@@ -261,7 +419,7 @@ def test_an_acknowledgement_of_another_boot_or_of_numbers_never_given_is_ignored
 @given(st.binary(max_size=80))
 def test_what_makes_no_sense_is_counted_and_changes_nothing(wire: Wire, payload: bytes) -> None:
     air = Air(wire)
-    air.library.bb_backpack_receive(air.memory, payload, ctypes.c_uint8(len(payload)), air.now, air.message)
+    air.tell_payload(payload)
 
     air.run(3)
 
