@@ -9,17 +9,13 @@
 #define LOG_OCTETS_LOST 1u
 
 static __xdata struct radio_frame heard;
-static bool has_heard;
 
-/* A payload for which the coordinator has no room waits here; what comes after it waits in the radio, and is lost when that is full: the
- * backpack, which hears no Acknowledge of the base station, repeats it. */
+/* Nothing waits here for room: behind a payload that did, the radio would keep the acknowledgements of what we send. One that the coordinator
+ * refuses is dropped and counted, and the backpack, which hears no Acknowledge of the base station, repeats it. */
 static void take_from_radio(void)
 {
-    if (!has_heard) {
-        has_heard = radio_read(&heard);
-    }
-    if (has_heard && bb_coordinator_radio_received(heard.source, heard.rssi_dbm, heard.lqi, heard.payload, heard.length)) {
-        has_heard = false;
+    while (radio_read(&heard)) {
+        (void)bb_coordinator_radio_received(heard.source, heard.rssi_dbm, heard.lqi, heard.payload, heard.length);
     }
 }
 
@@ -33,23 +29,34 @@ static void report_lost_octets(void)
     }
 }
 
-void main(void)
+static void start(void)
 {
-    uint8_t octet, status;
-    uint16_t handle;
     clock_start();
     uart_start();
     radio_start();
     bb_coordinator_start();
+}
+
+/* Once round the main loop. */
+static void turn(void)
+{
+    uint8_t octet, status;
+    uint16_t handle;
+    while (uart_read(&octet)) {
+        bb_coordinator_uart_received(&octet, 1);
+    }
+    take_from_radio();
+    if (radio_poll(&handle, &status)) {
+        bb_coordinator_radio_sent(handle, status);
+    }
+    bb_coordinator_poll();
+    report_lost_octets();
+}
+
+void main(void)
+{
+    start();
     for (;;) {
-        while (uart_read(&octet)) {
-            bb_coordinator_uart_received(&octet, 1);
-        }
-        take_from_radio();
-        if (radio_poll(&handle, &status)) {
-            bb_coordinator_radio_sent(handle, status);
-        }
-        bb_coordinator_poll();
-        report_lost_octets();
+        turn();
     }
 }
