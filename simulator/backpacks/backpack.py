@@ -26,7 +26,6 @@ from firmware_protocol.messages import (
     EncounterBatch,
     EncounterBatchWithPaths,
     EncounterEntry,
-    Hello,
     HelloRequest,
     MessageFault,
     Neighbour,
@@ -230,9 +229,9 @@ class Backpack:
         self._status_at_ms = self._neighbours_at_ms = None
 
     def rejoin(self, *, now_ms: int) -> None:
-        """Have joined another coordinator, or the old one again: say hello to it, and repeat soon what nobody has confirmed."""
-        self._outbox.hurry(now_ms=now_ms)
-        if self._hello_at_ms is None and not self._outbox.holds(Hello):
+        """Have joined another coordinator, or the old one again: say hello to it, and repeat now what nobody has confirmed."""
+        self._outbox.hurry(at_ms=now_ms)
+        if self._hello_at_ms is None:
             self._hello_at_ms = now_ms
 
     def _follow(self, changes: Sequence[Opened | Closed], *, now_ms: int) -> None:
@@ -249,12 +248,12 @@ class Backpack:
     def _obey(self, message: Downlink, *, now_ms: int, is_broadcast: bool) -> list[Effect]:
         match message:
             case HelloRequest():
-                self._outbox.hurry(now_ms=now_ms)
-                if self._hello_at_ms is None:
-                    self._hello_at_ms = self._spread(now_ms) if is_broadcast else now_ms
+                at_ms = self._spread(now_ms) if is_broadcast else now_ms
+                self._outbox.hurry(at_ms=at_ms)
+                self._hello_at_ms = at_ms if self._hello_at_ms is None else min(at_ms, self._hello_at_ms)
                 return []
             case Acknowledge():
-                return self._acknowledge(message, now_ms=now_ms) if message.boot == self.boot else []
+                return self._acknowledge(message, now_ms=now_ms)
             case TimeSyncRequest():
                 reply = TimeSyncReply(token=message.token, received_ms=tick(now_ms))
                 return [Transmission(payload=self._encode(0, reply, now_ms=now_ms), sequence=0, message=reply, is_first=True)]
@@ -283,6 +282,9 @@ class Backpack:
 
     def _acknowledge(self, message: Acknowledge, *, now_ms: int) -> list[Effect]:
         acknowledged: list[Effect] = []
+        if message.boot != self.boot or not self._outbox.is_of_given_numbers(message):
+            self.n_ignored += 1
+            return acknowledged
         for sequence, done in self._outbox.acknowledge(message, now_ms=now_ms):
             if isinstance(done, EncounterBatch | EncounterBatchWithPaths):
                 self._n_unacknowledged -= len(done.entries)
@@ -297,9 +299,10 @@ class Backpack:
                 self._expect(outcome.actuation, now_ms=now_ms)
             if outcome.command is not None:
                 # A full outbox costs a reply, never the execution: the base station then reports the outcome as unknown.
-                self._outbox.put(
-                    StimulateReply(command=outcome.command, result=outcome.result, executed_ms=tick(outcome.decided_ms), mode=self.mode)
-                )
+                reply = StimulateReply(
+                    command=outcome.command, result=outcome.result, executed_ms=tick(outcome.decided_ms), mode=self.mode
+                )  # fmt: skip
+                self._outbox.put_once(reply, now_ms=now_ms)
         return actuations
 
     def _expect(self, actuation: Actuation, *, now_ms: int) -> None:
@@ -314,7 +317,8 @@ class Backpack:
     def _tell_what_is_due(self, now_ms: int) -> None:
         if self._hello_at_ms is not None and now_ms >= self._hello_at_ms:
             hello = self._description.hello(beacon_period_ms=self._settings.beacon_period_ms)
-            is_told = self._outbox.put(hello) and self._outbox.put(self._description.limits(now_ms=now_ms))
+            limits = self._description.limits(now_ms=now_ms)
+            is_told = self._outbox.put_once(hello, now_ms=now_ms) and self._outbox.put_once(limits, now_ms=now_ms)
             self._hello_at_ms = None if is_told else now_ms + self._config.outbox.first_retry_ms
             if is_told and not self._has_told_start:
                 self._has_told_start = self._outbox.put(self._description.started())

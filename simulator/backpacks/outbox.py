@@ -3,12 +3,17 @@
 from collections import deque
 from dataclasses import dataclass, field
 
-from firmware_protocol.messages import Acknowledge, Uplink
+from firmware_protocol.messages import Acknowledge, ConfigurationReport, Hello, Limits, StimulateReply, Uplink
 from simulator import chance
 from simulator.errors import ParameterError
 
 MAX_WINDOW = 33
 """An Acknowledge covers this many sequence numbers beyond those it calls done (WIRE_FORMAT.md §5.1)."""
+
+_FOR_COMMANDS = 1
+_FOR_ANSWERS = 1
+MAX_REPORT_WINDOW = MAX_WINDOW - _FOR_ANSWERS - _FOR_COMMANDS
+"""Reports leave the last two numbers: one to Hello and ConfigurationReport, and the very last to StimulateReply alone."""
 
 _MODULUS = 1 << 16
 _JITTER_STREAM = 201
@@ -24,20 +29,20 @@ class OutboxConfig:
         Wait before the first repetition, doubled for each further one up to the second value [ms]; each wait is then
         multiplied by a draw from 0.75 to 1.25, so that backpacks that began together do not collide for ever.
     window
-        How far the oldest number outstanding and the newest one given may be apart, both counted. Acknowledged numbers between them
-        count too: a base station takes what lies further back for done.
+        How far the oldest number outstanding and the newest one given to a report may be apart, both counted. Acknowledged numbers between
+        them count too: a base station takes what lies further back for done. Answers have one number more, and answers to commands two.
     max_waiting
-        Messages that may wait for a sequence number.
+        Messages that may wait for a sequence number; half as many answers may besides.
     """
 
     first_retry_ms: int = 1_000
     max_retry_ms: int = 30_000
-    window: int = 32
+    window: int = MAX_REPORT_WINDOW
     max_waiting: int = 32
 
     def __post_init__(self) -> None:
-        if not 1 <= self.window <= MAX_WINDOW:
-            raise ParameterError(name="window", got=self.window, wanted=f"1 to {MAX_WINDOW}")
+        if not 1 <= self.window <= MAX_REPORT_WINDOW:
+            raise ParameterError(name="window", got=self.window, wanted=f"1 to {MAX_REPORT_WINDOW}")
         if not 1 <= self.first_retry_ms <= self.max_retry_ms:
             raise ParameterError(name="first_retry_ms", got=self.first_retry_ms, wanted=f"1 to max_retry_ms = {self.max_retry_ms}")
 
@@ -77,14 +82,19 @@ class Outbox:
 
     @property
     def n_free(self) -> int:
-        """How many more messages get a number at once."""
-        return max(0, self._room - len(self._waiting))
+        """How many more reports get a number at once."""
+        return max(0, self.config.window - self._span - len(self._waiting))
 
     @property
-    def _room(self) -> int:
-        """How many numbers may be given before the oldest one outstanding is acknowledged."""
+    def _span(self) -> int:
+        """How far the next number is ahead of the oldest one outstanding; 0 where none is."""
         oldest = next(iter(self._outstanding), self._next_sequence)  # numbers are given, and so kept, in order
-        return self.config.window - (self._next_sequence - oldest) % _MODULUS
+        return (self._next_sequence - oldest) % _MODULUS
+
+    def _next_waiting(self) -> int | None:
+        """Return the place of the message that gets the next number: the oldest that may, so an answer overtakes what must wait."""
+        span = self._span
+        return next((at for at, one in enumerate(self._waiting) if span < self.config.window + _reserve(one)), None)
 
     def holds(self, kind: type[Uplink]) -> bool:
         """Tell whether a message of this kind is waiting or not yet acknowledged."""
@@ -93,16 +103,25 @@ class Outbox:
         )
 
     def put(self, message: Uplink) -> bool:
-        """Take a message; return False, and take nothing, where ``max_waiting`` messages wait already."""
-        if len(self._waiting) >= self.config.max_waiting:
+        """Take a message; return False, and take nothing, where ``max_waiting`` messages wait already, and half as many for an answer."""
+        n_more = self.config.max_waiting // 2 if _reserve(message) else 0
+        if len(self._waiting) >= self.config.max_waiting + n_more:
             return False
         self._waiting.append(message)
         return True
 
+    def put_once(self, message: Uplink, *, now_ms: int) -> bool:
+        """Take an answer as ``put`` does, unless one that says the same is under way: that one is sent again now."""
+        same = [one for one in self._outstanding.values() if _says_the_same(one.message, message)]
+        for one in same:
+            one.due_ms = min(one.due_ms, now_ms)
+        return bool(same) or any(_says_the_same(one, message) for one in self._waiting) or self.put(message)
+
     def take_due(self, now_ms: int) -> list[Copy]:
         """Return what is to be sent now, in order of sequence numbers; each copy's next repetition is planned at once."""
-        while self._waiting and self._room > 0:
-            self._outstanding[self._next_sequence] = _Outstanding(message=self._waiting.popleft(), due_ms=now_ms)
+        while (at := self._next_waiting()) is not None:
+            self._outstanding[self._next_sequence] = _Outstanding(message=self._waiting[at], due_ms=now_ms)
+            del self._waiting[at]
             self._next_sequence = (self._next_sequence + 1) % _MODULUS
         copies = []
         for sequence, one in self._outstanding.items():
@@ -114,31 +133,36 @@ class Outbox:
 
     def next_due_ms(self) -> int | None:
         """Return when ``take_due`` has something to give; None where nothing is kept."""
-        if self._waiting and self._room > 0:
+        if self._next_waiting() is not None:
             return 0
         return min((one.due_ms for one in self._outstanding.values()), default=None)
+
+    def is_of_given_numbers(self, message: Acknowledge) -> bool:
+        """Tell whether an acknowledgement is not of numbers that were never given."""
+        ahead = (message.next_sequence - self._next_sequence) % _MODULUS
+        return not 0 < ahead < _MODULUS // 2
 
     def acknowledge(self, message: Acknowledge, *, now_ms: int) -> list[tuple[int, Uplink]]:
         """Forget what the base station has on disk; return it.
 
         An acknowledgement of numbers never given is ignored whole. One that brings progress shows that the base station
-        hears us, so whatever waits for a distant repetition is brought forward.
+        hears us, so whatever waits for a distant repetition is repeated as if it had been sent only once so far.
         """
-        ahead = (message.next_sequence - self._next_sequence) % _MODULUS
-        if 0 < ahead < _MODULUS // 2:
+        if not self.is_of_given_numbers(message):
             return []
         done = [sequence for sequence in self._outstanding if _covers(message, sequence)]
         acknowledged = [(sequence, self._outstanding.pop(sequence).message) for sequence in done]
         if acknowledged:
-            self.hurry(now_ms=now_ms)
+            for one in self._outstanding.values():
+                if one.n_sent > 1 and one.due_ms > now_ms + self.config.first_retry_ms:
+                    one.due_ms = now_ms + self._draw_wait_ms(0)
+                    one.n_sent = 1
         return acknowledged
 
-    def hurry(self, *, now_ms: int) -> None:
-        """Plan repetitions as if each message had been sent only once so far."""
+    def hurry(self, *, at_ms: int) -> None:
+        """Let no wait for a repetition last longer than until ``at_ms``."""
         for one in self._outstanding.values():
-            if one.n_sent > 1 and one.due_ms > now_ms + self.config.first_retry_ms:
-                one.due_ms = now_ms + self._draw_wait_ms(0)
-                one.n_sent = 1
+            one.due_ms = min(one.due_ms, at_ms)
 
     def _draw_wait_ms(self, n_sent: int) -> int:
         self._n_drawn += 1
@@ -146,6 +170,23 @@ class Outbox:
         return max(
             1, int(wait_ms * (0.75 + 0.5 * chance.uniform(seed=self.seed, biobot=self.biobot, stream=_JITTER_STREAM, index=self._n_drawn)))
         )
+
+
+def _reserve(message: Uplink) -> int:
+    """Return how many numbers beyond those of reports a message may have."""
+    match message:
+        case StimulateReply():
+            return _FOR_ANSWERS + _FOR_COMMANDS
+        case Hello() | ConfigurationReport():
+            return _FOR_ANSWERS
+        case _:
+            return 0
+
+
+def _says_the_same(one: Uplink, other: Uplink) -> bool:
+    if isinstance(one, StimulateReply) and isinstance(other, StimulateReply):
+        return one.command == other.command
+    return one == other or (isinstance(one, Limits) and isinstance(other, Limits))  # the voltage in them is no news
 
 
 def _covers(message: Acknowledge, sequence: int) -> bool:

@@ -192,7 +192,56 @@ def test_no_more_than_the_window_is_ever_outstanding() -> None:
     sequences: set[int] = set()
     for now_ms in range(2_000, 60_000, 500):
         sequences |= {effect.sequence for effect in backpack.poll(now_ms=now_ms) if isinstance(effect, Transmission)}
-    assert sequences == set(range(32))
+    assert sequences == set(range(31))
+
+
+def test_reports_leave_the_last_two_numbers_to_answers_and_the_very_last_to_commands() -> None:
+    """Nobody acknowledges, and a stop is confirmed all the same."""
+    backpack = a_backpack(capacity=10_000, spread_ms=0)
+    for start_ms in range(2_000):
+        backpack.begin_encounter(NodeId(1), start_ms=start_ms, rssi_dbm=RssiDbm(-40))
+        backpack.end_encounter(NodeId(1), end_ms=start_ms, now_ms=start_ms)
+    hear(backpack, Acknowledge(boot=BOOT, next_sequence=0, bitmap=0), now_ms=1_999)
+    backpack.poll(now_ms=2_000)
+    hear(backpack, ConfigurationRequest(token=5), now_ms=2_001)
+    backpack.poll(now_ms=2_001)
+    hear(backpack, Configure(token=6, report_period_ms=900), now_ms=2_002)  # has no number left
+    hear(backpack, a_command(1, Action.STOP), now_ms=2_003)
+    firsts = {one.sequence: one.message for one in backpack.poll(now_ms=2_003) if isinstance(one, Transmission) and one.is_first}
+    assert {number: type(message) for number, message in firsts.items()} == {32: StimulateReply}
+
+
+@given(n_asked=st.integers(1, 50))
+def test_a_hello_that_is_under_way_is_sent_again_and_not_said_twice(n_asked: int) -> None:
+    backpack = a_backpack(spread_ms=0)
+    backpack.quieten()
+    sent: dict[int, Uplink] = {}
+    for now_ms in range(n_asked):
+        hear(backpack, HelloRequest(), now_ms=now_ms)
+        copies = [one for one in backpack.poll(now_ms=now_ms) if isinstance(one, Transmission)]
+        assert {type(one.message) for one in copies} == {Hello, Limits, Diagnostic}, "what is under way is sent at once"
+        sent |= {one.sequence: one.message for one in copies}
+    assert sorted(sent) == [0, 1, 2]
+
+
+def test_a_broadcast_hello_request_ends_waits_within_its_random_wait() -> None:
+    backpack = a_backpack(spread_ms=1_000)
+    backpack.quieten()
+    for now_ms in range(0, 40_000, 10):
+        backpack.poll(now_ms=now_ms)
+    backpack.receive(encode_downlink(0, HelloRequest()), now_ms=40_000, is_broadcast=True)
+    assert backpack.poll(now_ms=40_000) == []
+    due_ms = backpack.next_due_ms()
+    assert due_ms is not None
+    assert 40_000 < due_ms <= 41_000
+    assert {type(one) for one in said(backpack.poll(now_ms=due_ms))} == {Hello, Limits, Diagnostic}
+
+
+@pytest.mark.parametrize(("boot", "next_sequence"), [(BOOT, 5), (BOOT + 1, 0)])
+def test_an_acknowledgement_of_another_boot_or_of_numbers_never_given_is_counted(boot: int, next_sequence: int) -> None:
+    backpack = a_backpack(spread_ms=10**9)
+    hear(backpack, Acknowledge(boot=BootId(boot), next_sequence=next_sequence, bitmap=0), now_ms=1)
+    assert backpack.n_ignored == 1
 
 
 def test_hello_and_status_and_neighbours_come_at_boot_and_hello_again_when_asked() -> None:
@@ -263,7 +312,12 @@ def test_a_repeated_command_is_answered_and_not_obeyed_again(repeats: list[int],
         done += actuations(hear(backpack, command, now_ms=100 + now_ms))
     assert len(done) == 1
     replies = [one for one in said(backpack.poll(now_ms=6_000)) if isinstance(one, StimulateReply)]
-    assert [one.result for one in replies] == [StimulationResult.DONE] + [StimulationResult.ALREADY_DONE] * len(repeats)
+    assert [one.result for one in replies] == [StimulationResult.DONE], "its answer was under way"
+    answered_by = [one.sequence for one in backpack.poll(now_ms=20_000) if isinstance(one, Transmission)]
+    hear(backpack, Acknowledge(boot=BOOT, next_sequence=max(answered_by) + 1, bitmap=0), now_ms=20_001)
+    assert actuations(hear(backpack, command, now_ms=20_002)) == []
+    replies += [one for one in said(backpack.poll(now_ms=20_002)) if isinstance(one, StimulateReply)]
+    assert [one.result for one in replies] == [StimulationResult.DONE, StimulationResult.ALREADY_DONE]
     assert {one.executed_ms for one in replies} == {100}
 
 
