@@ -64,7 +64,7 @@ class Coordinator:
         Its name, in records and logs.
     make_host
         Makes the base station's end of the dongle's dialect, once: it is opened anew with the port, and what it knows of addresses and of
-        numbers in use stays.
+        numbers in use stays. After a fault that nobody thought of, another is made.
     open_port
         Opens the transport; raises ``TransportError``.
     on_radio
@@ -89,6 +89,7 @@ class Coordinator:
     ) -> None:
         self.radio = radio
         self.hello: CoordinatorHello | None = None
+        self._make_host = make_host
         self._open_port = open_port
         self._on_radio = on_radio
         self._config = config
@@ -119,6 +120,11 @@ class Coordinator:
     def n_pending(self) -> int:
         """Payloads that were sent down and whose fate is not known yet."""
         return len(self._sendings)
+
+    @property
+    def n_unconfirmed(self) -> int:
+        """How many writes payloads from the dongle wait for before they are confirmed."""
+        return len(self._receipts)
 
     def send(self, *, destination: ShortAddress, payload: bytes, is_urgent: bool = False) -> "asyncio.Future[RadioOutcome]":
         """Send a radio payload; the future tells its fate and never fails. An urgent one overtakes all that waits.
@@ -163,6 +169,7 @@ class Coordinator:
                 self._health.count("radio.broken")
                 _log.error("radio.broken", radio=self.radio, reason=reason, trace=traceback.format_exc())
                 self._went_down(reason)
+                self._host = self._make_host()
             if self._was_steady:
                 backoff_s = self._config.first_backoff_s
             await asyncio.sleep(backoff_s * random.uniform(0.5, 1.0))
