@@ -63,8 +63,8 @@ class Coordinator:
     radio
         Its name, in records and logs.
     make_host
-        Makes the base station's end of the dongle's dialect, once: it is opened anew with the port, and what it knows of addresses and of
-        numbers in use stays.
+        Makes the base station's end of the dongle's dialect: once, for it is opened anew with the port, and what it knows of addresses and
+        of numbers in use stays; and again where one has broken.
     open_port
         Opens the transport; raises ``TransportError``.
     on_radio
@@ -94,6 +94,7 @@ class Coordinator:
         self._config = config
         self._health = health
         self._on_state = on_state
+        self._make_host = make_host
         self._host = make_host()
         self._is_held = False
         self._wake = asyncio.Event()
@@ -163,6 +164,7 @@ class Coordinator:
                 self._health.count("radio.broken")
                 _log.error("radio.broken", radio=self.radio, reason=reason, trace=traceback.format_exc())
                 self._went_down(reason)
+                self._host = self._make_host()  # what the old one knows may be what broke it
             if self._was_steady:
                 backoff_s = self._config.first_backoff_s
             await asyncio.sleep(backoff_s * random.uniform(0.5, 1.0))
