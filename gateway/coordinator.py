@@ -95,6 +95,7 @@ class Coordinator:
         self._config = config
         self._health = health
         self._on_state = on_state
+        self._make_host = make_host
         self._host = make_host()
         self._is_held = False
         self._wake = asyncio.Event()
@@ -169,7 +170,7 @@ class Coordinator:
                 self._health.count("radio.broken")
                 _log.error("radio.broken", radio=self.radio, reason=reason, trace=traceback.format_exc())
                 self._went_down(reason)
-                self._host = self._make_host()
+                self._host = self._make_host()  # what the old one knows may be what broke it
             if self._was_steady:
                 backoff_s = self._config.first_backoff_s
             await asyncio.sleep(backoff_s * random.uniform(0.5, 1.0))

@@ -104,7 +104,7 @@ def session_vectors() -> list[Vector]:
             _step(1300, "deadline", frames=["0301000142"]),
             _step(1400, "receive", "04010002", events=["confirmed 42"]),
         ]),
-        _session("what is missing at the other end is repeated at once; repetitions that were needless bring about no more", "3.3", "responder", [
+        _session("what is missing at the other end is repeated at once, and needless repetitions bring about no more", "3.3", "responder", [
             _step(0, "receive", reset, frames=[reset_ack], events=["opened"]),
             _step(0, "send", "41", frames=["0301000041"]),
             _step(0, "send", "42", frames=["0301000142"]),

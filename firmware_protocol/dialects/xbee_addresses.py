@@ -7,16 +7,13 @@ one which was forgotten is not another node's soon. The table belongs to a radio
 
 from firmware_protocol.dialects.xbee_frames import BROADCAST64, COORDINATOR64, UNKNOWN16, UNKNOWN64
 from firmware_protocol.envelope import BROADCAST_ADDRESS
-from firmware_protocol.units import ShortAddress
+from firmware_protocol.units import LAST_NODE_ADDRESS, ShortAddress
 
 CAPACITY = 4096
 """Nodes that are remembered; of more, the one that was heard longest ago is forgotten."""
 
-_FIRST_SPECIAL16 = 0xFFF8
-"""From here on a short address is no node's: broadcasts, *unknown* (0xFFFE), and where a transmit status says that it went when it went
-nowhere (0xFFFD)."""
-
 NOT_DELIVERED16 = 0xFFFD
+"""Where a transmit status says that it went when it went nowhere."""
 
 _NO_NODE64 = frozenset({UNKNOWN64, BROADCAST64, COORDINATOR64})
 
@@ -54,7 +51,7 @@ class AddressTable:
         """Take what a frame says of a node; return the short address to call it by, and whether the pair is new."""
         if eui64 in _NO_NODE64:
             return ShortAddress(address16), False
-        if address16 >= _FIRST_SPECIAL16:
+        if address16 > LAST_NODE_ADDRESS:
             known = self._real16_of.get(eui64, self._allotted_of.get(eui64))
             if known is not None:
                 self._remember(known, eui64)
@@ -75,7 +72,7 @@ class AddressTable:
         eui64 = self._eui64_of.get(address)
         if eui64 is not None:
             return eui64, self._real16_of.get(eui64, UNKNOWN16)
-        if address >= _FIRST_SPECIAL16 or not self.has_short_addresses:
+        if address > LAST_NODE_ADDRESS or not self.has_short_addresses:
             return None
         return UNKNOWN64, address
 

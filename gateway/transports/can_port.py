@@ -2,8 +2,8 @@
 
 python-can blocks, so a bus has a thread that receives and one that sends. Each crosses to the event loop in one place. Both queues are
 bounded: what comes in for a unit whose reader is ``_MAX_WAITING`` behind is dropped and counted, and its link has it repeated; what goes
-out waits one write a unit, the most urgent first, and of a write that was cancelled nothing more goes out. The receiving thread is watched: where it has died or hangs, reading ends, and with it
-the port, which is opened anew.
+out waits one write a unit, the most urgent first, and of a write that was cancelled nothing more goes out. The receiving thread is watched:
+where it has died or hangs, reading ends, and with it the port, which is opened anew.
 """
 
 import asyncio

@@ -116,7 +116,8 @@ def test_a_confirm_from_before_a_new_opening_settles_no_other_payload() -> None:
 def test_transactions_under_way_are_all_different_and_none_is_held_for_ever(steps: list[tuple[int, int]]) -> None:
     """Whatever is sent, settled, forgotten and dropped; where all 256 numbers are in use, nothing is written."""
     window = SendWindow(next_transaction=200)
-    now_ns, open_ones = 0, {}
+    now_ns = 0
+    open_ones: dict[int, tuple[int, int]] = {}
     for kind, which in steps:
         if kind == 0:
             now_ns += which * 10 * MS
