@@ -83,10 +83,10 @@ class JournalFullError(JournalError):
 
 
 class RecordingError(GatewayError):
-    """A recording cannot be read or written."""
+    """A recording, or what is made of one, cannot be read or written."""
 
-    def __init__(self, *, path: str, reason: str) -> None:
-        super().__init__(f"recording {path}: {reason}")
+    def __init__(self, *, path: str, reason: str, what: str = "recording") -> None:
+        super().__init__(f"{what} {path}: {reason}")
         self.path = path
         self.reason = reason
 

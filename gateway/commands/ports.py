@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 
 from firmware_protocol.errors import ConfigurationError
-from gateway.commands.outcome import DONE, FAILED, complain
+from gateway.commands.outcome import DONE, FAILED, complain, progress
 from gateway.probing.findings import Finding, Verdict
 from gateway.probing.probe import probe_port
 from gateway.transports.serial_port import list_serial_ports
@@ -56,7 +56,8 @@ def probe(options: argparse.Namespace) -> int:
         raise ConfigurationError(["probe: no port is named; name some, such as /dev/ttyACM0, or give --all"])
     is_each_fit = True
     for port in ports:
-        finding = asyncio.run(probe_port(port, is_intrusive=options.intrusive))
+        with progress() as tell:
+            finding = asyncio.run(probe_port(port, is_intrusive=options.intrusive, on_try=tell))
         is_each_fit = is_each_fit and finding.verdict is Verdict.ANSWERS
         print(json.dumps(asdict(finding) | {"verdict": finding.verdict.value}) if options.json else _describe(finding), flush=True)
     return DONE if is_each_fit else FAILED

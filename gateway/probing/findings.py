@@ -68,3 +68,13 @@ NOBODY = (
     "nothing answered at any speed: is it plugged in and powered, is it a coordinator, does another cable work? "
     "--intrusive also tries reset lines and the command mode of an XBee"
 )
+NOT_TOLD = "another kind of device that talks, or a dongle that is busy or whose line is bad; ask again, with baud= if its speed is known"
+NOT_EXPLAINED = "another kind of device, or another speed"
+PERHAPS_TRANSPARENT = (
+    "; or an XBee in transparent mode, as it comes from the factory, that passes on what it hears: "
+    "probe --intrusive looks for its command mode"
+)
+CAN_ADAPTER = (
+    "a CAN adapter that speaks ASCII (slcan, as CANable, CANtact and CANUSB do); put in the bit rate of your bus and the coordinator's "
+    "unit number, then `probe` that port to ask the coordinator"
+)

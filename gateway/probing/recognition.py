@@ -4,6 +4,7 @@ Each test frame is the most harmless that its family answers: none changes a set
 Digi 90002002 (API frames); TI SWRA198 (MT) and SWRA466 (ROM boot loader of CC26x2); Silicon Labs UG101 (ASH) and AN760 (boot loader menu).
 """
 
+import re
 import struct
 from dataclasses import dataclass
 from enum import Enum
@@ -12,15 +13,16 @@ from firmware_protocol.crc import crc16
 from firmware_protocol.framing.cobs import CobsDecoder, encode_frame
 
 XBEE_ESCAPED = bytes((0x7E, 0x7D, 0x11, 0x13))
-_NATIVE_ANSWERS = {2, 3, 4, 6}  # RESET_ACK, DATA, ACK, NEED_RESET (§3.1)
 _PING = struct.pack("<BHB", 5, 0xB0B0, 0)  # of a session that no dongle has; were it its own, it would answer all the same
-_XBEE_ANSWERS = {0x88, 0x8A, 0x8B, 0x8D, 0x90, 0x91, 0x92, 0x95, 0x97}
 _MAX_MT = 250
-_MT_BOOT = 0x4D
-_MT_BOOT_ANSWER = 0x80
-_ASH_RSTACK, _ASH_ERROR, _ASH_VERSION = 0xC1, 0xC2, 0x02
+_NATIVE_LENGTHS = {2: (4, 5), 4: (4,), 6: (4,)}  # RESET_ACK, ACK, NEED_RESET (§3.1): what a test frame brings about
+_XBEE_AP, _XBEE_STATUS = b"\x88\x01AP", 0x8A  # the answer to the test frame; modem status, as after a restart
+_ZNP_ANSWERS = {b"\x61\x01": 4, b"\x41\x80": 8}  # SYS_PING's answer with capabilities, SYS_RESET_IND with reason and version
+_MT_BOOT_DONE = b"\x4d\x84\x00"  # the boot loader's answer to its handshake, and that all is well
+_MAX_MT_BOOT = 24
+_ASH_RSTACK, _ASH_ERROR, _ASH_VERSION, _ASH_FLAG = 0xC1, 0xC2, 0x02, 0x7E
 _ROM_ACK = b"\x00\xcc"
-_MENU = b"BL >"
+_MENU = b"\nBL >"
 
 TEST_FRAMES = (
     encode_frame(_PING)
@@ -36,6 +38,9 @@ LAST_TESTS = (
     b"\r",  # a boot loader with a menu shows it
 )
 """Further tests, each with an answer of its own to wait for, where nothing answered ``TEST_FRAMES``."""
+
+CAN_VERSION = b"V\r"
+"""Asks an slcan adapter for its version, on no bus; it comes last, when a carriage return has ended all that was said before."""
 
 LEAVE_BOOT_LOADER = b"\xef"
 """Tells the serial boot loader of CC253x to start its firmware; nothing else knows this byte."""
@@ -54,6 +59,7 @@ class Family(Enum):
     CC253X_BOOT_LOADER = "cc253x_boot_loader"
     CC26X2_BOOT_LOADER = "cc26x2_boot_loader"
     MENU_BOOT_LOADER = "menu_boot_loader"
+    SLCAN = "slcan"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,21 +73,35 @@ class XbeeAnswer:
 
 
 def recognise(data: bytes) -> Family | None:
-    """Return what must have sent ``data``, which may begin and end anywhere; None where nothing proves it."""
-    if any(isinstance(body, bytes) and len(body) >= 4 and body[0] in _NATIVE_ANSWERS for body in CobsDecoder().feed(data)):
+    """Return what must have sent ``data``, which may begin and end anywhere; None where nothing proves it.
+
+    Checks of 8 bits prove nothing by themselves: among random bytes at 115,200 baud a sound MT frame comes every six
+    seconds. So only answers to the test frames count, and what a restart says; a port of random bytes gives one once in a million seconds.
+    """
+    if any(isinstance(body, bytes) and _is_native(body) for body in CobsDecoder().feed(data)):
         return Family.NATIVE
-    if any(body[0] in _XBEE_ANSWERS for body in xbee_bodies(data)):
+    if any(body[:4] == _XBEE_AP or (body[0] == _XBEE_STATUS and len(body) == 2) for body in xbee_bodies(data)):
         return Family.XBEE
     answers = mt_bodies(data)
-    if any(body[0] == _MT_BOOT and body[1] & _MT_BOOT_ANSWER for body in answers):
+    if any(body[:3] == _MT_BOOT_DONE and len(body) <= _MAX_MT_BOOT for body in answers):
         return Family.CC253X_BOOT_LOADER
-    if any(body[0] >> 5 in {2, 3} and body[0] != _MT_BOOT for body in answers):  # reports and answers
+    if any(len(body) == _ZNP_ANSWERS.get(body[:2]) for body in answers):
         return Family.ZNP
     if _is_ash(data):
         return Family.EZSP
     if _MENU in data or b"ootloader" in data:
         return Family.MENU_BOOT_LOADER
     return None
+
+
+def is_can_adapter(said: bytes) -> bool:
+    """Tell whether this is what an adapter of Lawicel's ASCII protocol (slcan) says to ``CAN_VERSION``, and nothing else is.
+
+    BEL is its answer to what it does not know, such as the test frames before; CANable's firmware tells its name for a version.
+    """
+    return re.fullmatch(rb"[\r\a]*(V[0-9A-Fa-f]{4}\r|[ -~]{0,60}[cC][aA][nN][ -~]{0,60}\r\n?)?[\r\a]*", said) is not None and (
+        b"\a" in said or len(said.strip(b"\r")) > 1
+    )
 
 
 def is_rom_acknowledgement(data: bytes) -> bool:
@@ -161,10 +181,16 @@ def _unescape(data: bytes) -> bytes:
     return bytes(out)
 
 
+def _is_native(body: bytes) -> bool:
+    return len(body) in _NATIVE_LENGTHS.get(body[0] if body else 0, ())
+
+
 def _is_ash(data: bytes) -> bool:
     """Tell whether an RSTACK or ERROR frame of ASH version 2 is in ``data`` (UG101): control, version, code, CRC."""
-    for at in range(len(data) - 4):
+    for at in range(len(data) - 5):
         frame = data[at : at + 5]
+        if data[at + 5] != _ASH_FLAG:
+            continue
         if frame[0] in {_ASH_RSTACK, _ASH_ERROR} and frame[1] == _ASH_VERSION and crc16(frame[:3]) == frame[3] << 8 | frame[4]:
             return True
     return False

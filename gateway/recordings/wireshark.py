@@ -43,6 +43,9 @@ _CARRIERS = (
         fields=(Field(name="source", code="H"), Field(name="rssi_dbm", code="b", unit="dBm"), Field(name="lqi", code="B")),
     ),
 )
+DISSECTOR_MARK = "-- Made by biobot-gateway"
+"""How every dissector begins, of whatever version."""
+
 _CARRY_PAYLOAD = {"RadioSend", "RadioReceived"}
 
 
@@ -52,7 +55,7 @@ def make_lua_dissector() -> str:
     envelopes = [_layout(one, is_uplink=False) for one in (*ENVELOPE_LAYOUTS, *_CARRIERS)]
     return "\n".join(
         [
-            f"-- Made by biobot-gateway {version('biobot-gateway')}: biobot-gateway pcap --dissector FILE",
+            f"{DISSECTOR_MARK} {version('biobot-gateway')}: biobot-gateway pcap --dissector FILE",
             f"local PREFIX = {PREFIX[0]}",
             f"local MAX_RADIO_PAYLOAD = {MAX_RADIO_PAYLOAD}",
             f"local LINK_KINDS = {_names(KINDS)}",

@@ -18,7 +18,8 @@ from firmware_protocol.layouts import DOWNLINK_LAYOUTS, UPLINK_LAYOUTS
 from firmware_protocol.message_codec import decode_downlink, decode_uplink
 from firmware_protocol.messages import MessageFault
 from firmware_protocol.units import RssiDbm, ShortAddress
-from gateway.commands.outcome import DONE
+from gateway.__main__ import main
+from gateway.commands.outcome import DONE, FAILED
 from gateway.recordings.capture import Capture
 from gateway.recordings.dialects import make_line_dissector
 from gateway.recordings.pcapng import PcapngWriter
@@ -207,3 +208,47 @@ def test_a_host_and_the_dissector_know_the_same_handles() -> None:
     found = [one for frame in host.take_frames() for one in dissector.feed(frame, is_outgoing=True)]
 
     assert [one.payload.data for one in found if one.payload is not None] == [DOWNLINK_SAMPLES[0]]
+
+
+def a_recording(path: Path) -> Path:
+    recorder = record_to_file(path, port="tcp:a:1", dialect="native")
+    for record in sample_records():
+        recorder.take(record)
+    recorder.close()
+    return path
+
+
+def test_a_capture_is_never_written_over_a_file_that_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one, other = a_recording(tmp_path / "one.biorec"), a_recording(tmp_path / "other.biorec")
+    earlier = tmp_path / "earlier.pcapng"
+    earlier.write_bytes(b"somebody's")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    for source, out in ((one, one), (one, other), (one, earlier), (tmp_path / "missing", earlier), (earlier, tmp_path / "new")):
+        assert main(["pcap", str(source), str(out)]) == FAILED
+    assert main(["pcap", "--port", "tcp:127.0.0.1:1", str(earlier)]) == FAILED
+    assert main(["pcap", "--dissector", str(one)]) == FAILED
+
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert capsys.readouterr().err.count("is there already; name another file") == 5
+
+
+def test_a_capture_that_could_not_begin_leaves_no_file_in_the_way_of_the_next_try(tmp_path: Path) -> None:
+    out = tmp_path / "x.pcapng"
+
+    assert main(["pcap", "--port", "tcp:127.0.0.1:1", str(out)]) == FAILED
+    assert not out.exists()
+    assert main(["pcap", str(a_recording(tmp_path / "x.biorec")), str(out)]) == DONE
+    assert out.read_bytes()[:4] == b"\x0a\x0d\x0d\x0a"
+
+
+def test_a_dissector_may_be_written_over_an_earlier_one(tmp_path: Path) -> None:
+    path = tmp_path / "biobot.lua"
+
+    assert [main(["pcap", "--dissector", str(path)]) for _ in range(2)] == [DONE, DONE]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_a_full_disk_ends_a_capture_with_a_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["pcap", str(a_recording(tmp_path / "x.biorec")), "/dev/full"]) == FAILED
+    assert "capture /dev/full: is cut short: No space left on device; make room" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import tty
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from random import Random
 
 import pytest
 from hypothesis import given
@@ -16,7 +17,17 @@ from firmware_protocol.crc import append_crc
 from gateway.probing.asking import Pace
 from gateway.probing.findings import Finding, Verdict
 from gateway.probing.probe import probe_port
-from gateway.probing.recognition import TEST_FRAMES, Family, mt_bodies, mt_request, recognise, xbee_answers, xbee_bodies, xbee_query
+from gateway.probing.recognition import (
+    TEST_FRAMES,
+    Family,
+    is_can_adapter,
+    mt_bodies,
+    mt_request,
+    recognise,
+    xbee_answers,
+    xbee_bodies,
+    xbee_query,
+)
 from simulator.dongles.choice import DIALECTS
 from tests.gateway.virtual_dongles import dongle_on_pty, dongle_on_tcp, some_payloads
 
@@ -246,3 +257,41 @@ def test_our_own_test_frames_echoed_back_are_no_dongle(tmp_path: Path) -> None:
     found = probed(tmp_path, lambda data: data, query="?baud=9600")
     assert (found.verdict, "sends back" in found.advice) == (Verdict.SILENT, True)
     assert recognise(mt_request(0x21, 0x01) + xbee_query("AP", frame_id=0x21)) is None
+
+
+def test_bytes_without_meaning_are_no_dongle_whatever_frames_they_look_like(tmp_path: Path) -> None:
+    """Frames with sound 8-bit checks are common among random bytes; only answers to what was asked prove a dongle."""
+    random = Random(1)
+    chance = [mt(0x41 + random.randrange(31), 0x80 + random.randrange(128), random.randbytes(random.randrange(9, 30))) for _ in range(40)]
+    chance += [mt(0x60 + random.randrange(8), random.randrange(2, 256), random.randbytes(4)) for _ in range(40)]
+    assert {recognise(one) for one in chance} == {None}
+    assert recognise(random.randbytes(100_000)) is None
+
+    found = probed(tmp_path, lambda _: b"".join(chance) + random.randbytes(2000), query="?baud=115200")
+    assert (found.verdict, found.spec) == (Verdict.SILENT, "")
+    assert "--intrusive" in found.advice, "an XBee in transparent mode passes on what it hears"
+
+
+def test_what_answers_once_but_never_tells_who_it_is_is_not_offered_for_use(tmp_path: Path) -> None:
+    found = probed(tmp_path, lambda _: mt(0x61, 0x01, b"\x79\x07"), query="?baud=115200")
+
+    assert (found.verdict, found.spec) == (Verdict.SILENT, "")
+    assert "looks like znp" in found.advice
+
+
+@pytest.mark.parametrize("version", [b"V1013\r", b"CANable-1.2 github.com/normaldotcom/canable-fw\r", b"\a"])
+def test_a_can_adapter_is_told_by_its_path_with_the_spec_of_its_bus(version: bytes, tmp_path: Path) -> None:
+    def slcan(data: bytes) -> bytes:
+        return b"".join(version if line == b"V" else b"\a" if line else b"\r" for line in data.split(b"\r")[:-1])
+
+    found = probed(tmp_path, slcan)
+
+    assert (found.verdict, found.family) == (Verdict.ANSWERS, "slcan")
+    assert found.spec == f"can:slcan:{tmp_path / 'port'}?unit=1&bitrate=500000"
+    assert "bit rate" in found.advice
+
+
+@given(st.binary(max_size=60))
+def test_no_other_bytes_than_an_adapters_make_a_can_adapter(data: bytes) -> None:
+    assert not is_can_adapter(data) or b"\a" in data or b"V" in data or b"can" in data.lower()
+    assert not is_can_adapter(b"V\r"), "an echo"
