@@ -325,7 +325,8 @@ def test_a_boot_begins_with_a_hello_and_owes_the_limits(wire: Wire) -> None:
     air = Air(wire)
     assert air.owes_limits
     assert air.report(LIMITS)
-    assert not air.owes_limits
+    owes_limits: bool = air.owes_limits
+    assert not owes_limits
     air.run(1)
     assert [air.taken[number] for number in sorted(air.taken)] == [HELLO, LIMITS]
 

@@ -92,7 +92,7 @@ class Pack:
         self.hear(Acknowledge(boot=BOOT, next_sequence=first, bitmap=sum(1 << i for i in range(32) if first + 1 + i in taken)))
 
     def command(self, number: int, action: Action, **changes: int) -> list[Uplink]:
-        self.hear(replace(TRAIN, command=number, action=action, **changes))  # type: ignore[arg-type]  # each a field of Stimulate
+        self.hear(replace(TRAIN, command=number, action=action, **changes))
         return self.listen()
 
 

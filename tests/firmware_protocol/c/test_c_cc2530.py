@@ -91,7 +91,7 @@ class Room:
         return ticket, self.chip.model_transmissions() - before
 
     def status(self, ticket: int) -> RadioStatus:
-        (status,) = [event.status for event in self.events if isinstance(event, SendSettled) and event.ticket == ticket]
+        (status,) = [RadioStatus(event.status) for event in self.events if isinstance(event, SendSettled) and event.ticket == ticket]
         return status
 
     def resume(self) -> None:
