@@ -12,7 +12,7 @@ from gateway.config import StimulationTable
 from gateway.downlink import DownlinkSender
 from gateway.health import Health
 from gateway.journal import Journal
-from gateway.nodes import NodeBook
+from gateway.nodes import NodeBook, NodeMemory
 from gateway.radio import Fate, RadioOutcome
 from gateway.stimulation import StimulationGate
 from tests.gateway.harness import a_request
@@ -25,6 +25,8 @@ class _Air(DownlinkSender):
 
     def __init__(self, nodes: NodeBook) -> None:
         super().__init__(coordinators={}, nodes=nodes)
+        self.nodes = nodes
+        self.n_radios = 1
         self.gate: StimulationGate | None = None
         self.answers_from = 1
         self.is_broken = False
@@ -42,6 +44,9 @@ class _Air(DownlinkSender):
             reply = StimulateReply(command=message.command, result=StimulationResult.DONE, executed_ms=Milliseconds(1), mode=WireMode.S)
             loop.call_soon(self.gate.on_reply, node, reply)
         return future
+
+    def send_everywhere(self, node: NodeId, message: Downlink) -> "list[asyncio.Future[RadioOutcome]]":
+        return [self.send(node, message, is_urgent=True) for _ in range(self.n_radios)]
 
 
 def _with_gate(path: Path, story: Callable[[StimulationGate, _Air, Journal], Awaitable[None]]) -> None:
@@ -151,3 +156,46 @@ def test_a_finished_command_keeps_no_listeners(tmp_path: Path) -> None:
         assert gate._finished["one"].listeners == []
 
     _with_gate(tmp_path / "j", story)
+
+
+def test_a_biobot_not_heard_since_the_start_is_stopped_and_never_stimulated(tmp_path: Path) -> None:
+    async def story(gate: StimulationGate, air: _Air, _: Journal) -> None:
+        air.nodes.restore(
+            [
+                NodeMemory(
+                    node=NodeId(6),
+                    boot=BootId(1),
+                    radio="r",
+                    address=ShortAddress(2),
+                    eui64=6,
+                    firmware=1,
+                    beacon_period_ms=0,
+                    capabilities=1,
+                    is_introduced=True,
+                )
+            ]
+        )
+        for action in (StimulationAction.START, StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT):
+            refused = await _outcome(gate, 6, action)
+            assert refused.stage is Stage.REFUSED
+            assert "not heard since the gateway started" in refused.reason
+        assert air.n_sent == 0
+        assert (await _outcome(gate, 6, StimulationAction.STOP)).stage is Stage.BIOBOT_CONFIRMED
+
+    _with_gate(tmp_path / "j", story)
+
+
+def test_a_stop_over_two_radios_counts_as_two_trains_also_after_a_restart(tmp_path: Path) -> None:
+    async def stop(gate: StimulationGate, air: _Air, _: Journal) -> None:
+        air.n_radios = 2
+        assert (await _outcome(gate, 5, StimulationAction.STOP)).stage is Stage.BIOBOT_CONFIRMED
+        assert air.n_sent == 2
+
+    async def count(gate: StimulationGate, air: _Air, journal: Journal) -> None:
+        reader = journal.reader()
+        trains_ms = [entry.train_ms for entry in reader.read_audit_since(0) if entry.train_ms]
+        reader.close()
+        assert trains_ms == [_CONFIG.duration_ms] * 2
+
+    _with_gate(tmp_path / "j", stop)
+    _with_gate(tmp_path / "j", count)

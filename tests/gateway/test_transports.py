@@ -8,7 +8,10 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from firmware_protocol.dialects.interface import NetworkWish
 from gateway.errors import TransportClosedError, TransportOpenError, TransportSpecError
 from gateway.transports.interface import Transport
 from gateway.transports.memory import connected_pair
@@ -146,12 +149,55 @@ def test_port_names_mean_what_they_say() -> None:
         ("tcp::80", "must be tcp:HOST:PORT"),
         ("tcp:host:99999", "the port is '99999'"),
         ("", "names no kind of port"),
+        ("tcp:a..b:77", "nothing between two dots"),
+        (f"tcp:{'a' * 64}.org:77", "more than 63 characters"),
+        (f"tcp:{'.'.join(['a' * 60] * 5)}:77", "at most 253"),
+        ("tcp:a\0b:77", "control characters"),
+        ("tcp:a b:77", "blanks"),
+        ("serial:/dev/a\0b", "null character"),
+        (f"serial:/dev/x?baud={'9' * 5000}", "from 1 to 4000000"),
+        (f"tcp:host:{'9' * 5000}", "from 1 to 65535"),
+        (f"can:socketcan:can0?unit={'9' * 5000}", "from 0 to 31"),
+        ("serial:/dev/x?baud=0x2580", "baud is '0x2580'"),
+        ("serial:/dev/x?baud=\u0669", "must be a number"),
+        ("serial:/dev/x?dialect=znp&channel=0b1011", "channel is '0b1011'"),
+        ("serial:/dev/x?dialect=znp&channel=1_5", "channel is '1_5'"),
+        ("serial:/dev/x?dialect=znp&channel=+15", "channel is ' 15'"),
+        (f"serial:/dev/x?dialect=znp&pan_id=0x{'0' * 5000}", "from 0 to 65534"),
+        ("can:slcan:/dev/x?settle=1_0", "settle is '1_0'"),
+        ("can:slcan:/dev/x?settle=nan", "settle is 'nan'"),
     ],
 )
 def test_a_wrong_port_name_is_refused_with_reason_and_examples(spec: str, reason: str) -> None:
     with pytest.raises(TransportSpecError, match="examples: serial:/dev/ttyACM0") as caught:
         parse_port_spec(spec)
     assert reason in str(caught.value)
+
+
+def test_numbers_of_a_network_are_decimal_or_begin_with_0x() -> None:
+    for pan_id, channel in (("4660", "15"), ("0x1234", "0xF"), ("0X1234", "015")):
+        spec = parse_port_spec(f"serial:/dev/x?dialect=znp&pan_id={pan_id}&channel={channel}")
+        assert isinstance(spec, SerialSpec)
+        assert spec.network == NetworkWish(pan_id=0x1234, channel=15)
+
+
+@given(host=st.text(min_size=1, max_size=80))
+def test_whatever_is_named_as_a_host_is_refused_or_can_be_asked_for(host: str) -> None:
+    try:
+        spec = parse_port_spec(f"tcp:{host}:77")
+    except TransportSpecError:
+        return
+    assert isinstance(spec, TcpSpec)
+    spec.host.encode("idna")  # what asking for it begins with
+
+
+def test_a_host_that_cannot_be_asked_for_is_a_port_that_cannot_be_opened_now() -> None:
+    async def story() -> None:
+        for host in ("a..b", "a" * 64, "a\0b"):
+            with pytest.raises(TransportOpenError):
+                await open_tcp(host=host, port=77)
+
+    asyncio.run(story())
 
 
 def test_a_spec_opens_its_transport() -> None:

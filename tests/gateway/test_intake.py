@@ -1,0 +1,152 @@
+"""Laws of the intake, on a real journal: what an uplink message may change, and what it may not."""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.contract.records import NodeStatus
+from firmware_protocol.message_codec import encode_uplink
+from firmware_protocol.messages import Hello, Status, Uplink, UplinkHeader, WireCause, WireMode
+from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
+from gateway.clocks import ClockBook
+from gateway.health import Health
+from gateway.intake import Intake, IntakeListeners
+from gateway.issuer import RecordIssuer
+from gateway.journal import Journal
+from gateway.nodes import NodeBook
+from gateway.radio import RadioMessage
+
+
+@dataclass(kw_only=True)
+class _Desk:
+    """An intake, and what it tells."""
+
+    intake: Intake
+    nodes: NodeBook
+    journal: Journal
+    health: Health
+    committed: list[int] = field(default_factory=list)
+    statuses: list[NodeStatus] = field(default_factory=list)
+
+    def take(
+        self, message: Uplink, *, sequence: int, boot: int = 1, sent_ms: int = 1000, radio: str = "r", source: int = 0x1007, late_s: int = 0
+    ) -> "asyncio.Future[None] | None":
+        header = UplinkHeader(node=NodeId(7), boot=BootId(boot), sequence=sequence, sent_ms=Milliseconds(sent_ms))
+        return self.intake.take(
+            RadioMessage(
+                radio=radio,
+                source=ShortAddress(source),
+                rssi_dbm=RssiDbm(-50),
+                lqi=1,
+                payload=encode_uplink(header, message),
+                received_ns=time.monotonic_ns() + late_s * NS_PER_S,
+            )
+        )
+
+
+def _with_desk(path: Path, story: Callable[[_Desk], Awaitable[None]]) -> None:
+    async def run() -> None:
+        health = Health()
+        journal = Journal.open(path, health=health)
+        reader, nodes = journal.reader(), NodeBook(gateway="g")
+        intake = Intake(
+            issuer=RecordIssuer(gateway="g", journal=journal.journal_id, boot=journal.boot, wall_anchor_ns=journal.identity.wall_anchor_ns),
+            journal=journal,
+            reader=reader,
+            nodes=nodes,
+            clocks=ClockBook(window_ns=600 * NS_PER_S),
+            health=health,
+            window_s=60,
+            now_ns=time.monotonic_ns(),
+        )
+        desk = _Desk(intake=intake, nodes=nodes, journal=journal, health=health)
+        intake.connect(
+            IntakeListeners(
+                on_committed=desk.committed.append,
+                on_status=desk.statuses.append,
+                on_neighbours=lambda _: None,
+                on_reply=lambda _node, _reply: None,
+                on_duplicate=lambda _node, _before, _after: None,
+                on_diagnostic=lambda _node, _diagnostic: None,
+                on_configuration=lambda _node, _report: None,
+                on_unknown_clock=lambda: None,
+            )
+        )
+        try:
+            await story(desk)
+        finally:
+            reader.close()
+            journal.close()
+
+    asyncio.run(run())
+
+
+def _a_hello(firmware: int) -> Hello:
+    return Hello(eui64=7, firmware=firmware, beacon_period_ms=1000, capabilities=1)
+
+
+@pytest.mark.parametrize("source", [0xFFF8, 0xFFFC, 0xFFFD, 0xFFFE, 0xFFFF])
+def test_a_message_from_an_address_of_many_or_of_nobody_is_counted_and_dropped(tmp_path: Path, source: int) -> None:
+    async def story(desk: _Desk) -> None:
+        assert desk.take(_a_hello(1), sequence=0, source=source) is None
+        assert desk.nodes.all() == []
+        assert desk.health.counters() == {"message.impossible_source": 1}
+        assert desk.take(_a_hello(1), sequence=0, source=0xFFF7) is not None, "it comes again, and is new"
+        assert desk.nodes.all()[0].address == 0xFFF7
+
+    _with_desk(tmp_path / "j", story)
+
+
+def test_an_old_message_of_a_life_that_is_over_is_kept_and_says_nothing_of_the_biobot_now(tmp_path: Path) -> None:
+    async def story(desk: _Desk) -> None:
+        running = asyncio.ensure_future(desk.journal.run())
+        done = [
+            desk.take(_a_hello(1), sequence=0, boot=3, radio="native", source=0x1000),
+            desk.take(_a_hello(2), sequence=0, boot=4, radio="xbee", source=0x2222),
+            desk.take(_a_hello(1), sequence=1, boot=3, sent_ms=9000, radio="native", source=0x1000),
+        ]
+        assert None not in done
+        await asyncio.gather(*(one for one in done if one is not None))
+        node = desk.nodes.all()[0]
+        assert (node.boot, node.radio, node.address, node.firmware, node.is_introduced) == (4, "xbee", 0x2222, 2, True)
+        window = desk.intake.window_of(NodeId(7))
+        assert window is not None
+        assert window[0] == 4, "the life that goes on is the one that is acknowledged"
+        status = Status(mode=WireMode.S, cause=WireCause.NATURAL, mode_since_ms=Milliseconds(0), battery_mv=1, buffered=0, dropped=0)
+        # Its clock was never asked for; six seconds after its first message it is believed as it is.
+        kept = desk.take(status, sequence=2, boot=3, sent_ms=9001, radio="native", source=0x1000, late_s=6)
+        assert kept is not None
+        await kept
+        await asyncio.sleep(0)
+        assert desk.journal.head_offset == 1, "the mode it was in is a record"
+        assert desk.statuses == []
+        assert node.status is None
+        running.cancel()
+
+    _with_desk(tmp_path / "j", story)
+
+
+def test_what_is_repeated_while_the_disk_waits_is_told_once_when_it_is_there(tmp_path: Path) -> None:
+    async def story(desk: _Desk) -> None:
+        first = desk.take(_a_hello(1), sequence=0)
+        repeats = [desk.take(_a_hello(1), sequence=0, sent_ms=1000 + index) for index in range(5_000)]
+        assert len({id(one) for one in repeats}) == 1, "all wait for one write"
+        assert desk.committed == []
+        running = asyncio.ensure_future(desk.journal.run())
+        assert first is not None
+        await first
+        await desk.journal.drain()
+        await asyncio.sleep(0)
+        assert desk.committed == [7, 7], "of the message, and of all its repetitions"
+        again = desk.take(_a_hello(1), sequence=0, sent_ms=9000)
+        assert again is not None
+        await again
+        await asyncio.sleep(0)
+        assert desk.committed == [7, 7, 7]
+        running.cancel()
+
+    _with_desk(tmp_path / "j", story)
