@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 
 from firmware_protocol.dialects.choice import make_host
+from firmware_protocol.messages import MAX_RADIO_PAYLOAD
 from gateway.acceptance import biobot_checks, link_checks
 from gateway.acceptance.plan import Plan
 from gateway.acceptance.radio_under_test import Node, RadioUnderTest
@@ -19,7 +20,9 @@ _OF_A_BIOBOT = (
     "repeats what is not acknowledged",
     "is silent once acknowledged",
     "nothing lost when the port is opened again",
+    f"takes {MAX_RADIO_PAYLOAD} bytes and refuses more",
     "carries payloads down",
+    "survives garbage on the line",
 )
 _NO_BIOBOT = "no biobot was heard"
 
@@ -55,13 +58,18 @@ async def check_radio(spec: PortSpec, plan: Plan, *, on_result: Callable[[Result
 
 
 async def _check_open_dongle(radio: RadioUnderTest, plan: Plan, tell: Callable[[Iterable[Result]], None]) -> None:
-    node, result = await biobot_checks.find_biobot(radio, plan)
-    tell([result])
-    tell([await link_checks.check_unknown_address(radio, plan), await link_checks.check_broadcast(radio, plan)])
-    if node is None:
-        tell(skipped(name, _NO_BIOBOT, is_required=True) for name in _OF_A_BIOBOT)
-    else:
+    heard = await biobot_checks.hear_biobots(radio, plan)
+    tell([heard, await link_checks.check_unknown_address(radio, plan)])
+    answering, broadcast = await link_checks.check_broadcast(radio, plan)
+    node: Node | None = None
+    if heard.outcome is Outcome.PASSED:
+        node = await biobot_checks.choose_biobot(radio, plan, answering=answering)
+    tell([_excused(broadcast) if node is None and radio.nodes and not answering else broadcast])
+    if node is not None:
         await _check_biobot(radio, plan, node, tell)
+    else:
+        why = _none_answers(plan, len(radio.nodes)) if heard.outcome is Outcome.PASSED else _NO_BIOBOT
+        tell(skipped(name, why, is_required=True) for name in _OF_A_BIOBOT)
     tell(
         [
             await biobot_checks.check_stimulation(radio, plan, node),
@@ -69,6 +77,20 @@ async def _check_open_dongle(radio: RadioUnderTest, plan: Plan, tell: Callable[[
             link_checks.check_understood(radio),
         ]
     )
+
+
+def _none_answers(plan: Plan, n_heard: int) -> str:
+    who = f"biobot {plan.node} was heard, but does not answer" if plan.node is not None else f"none of {n_heard} heard biobots answers"
+    return f"{who}: none is in range now, or this dongle carries nothing down"
+
+
+def _excused(broadcast: Result) -> Result:
+    """A broadcast that went out proves nothing where nobody hears anything else either."""
+    if broadcast.outcome is Outcome.FAILED and broadcast.detail.startswith("called sent"):
+        return skipped(
+            broadcast.name, f"{broadcast.detail}, and none answers when called by its number: none is in range now", is_required=True
+        )
+    return broadcast
 
 
 async def _check_biobot(radio: RadioUnderTest, plan: Plan, node: Node, tell: Callable[[Iterable[Result]], None]) -> None:

@@ -68,6 +68,8 @@ class FakeBackpack:
     boot: BootId = _FIRST_BOOT
     boot_at_s: float = field(default_factory=lambda: time.monotonic() - 1000.0)
     answers: bool = True
+    is_away: bool = False
+    """It was heard, and has left: nothing reaches it any more."""
     mode: WireMode = WireMode.CRW
     obeyed: list[Stimulate] = field(default_factory=list)
     heard: list[Stimulate] = field(default_factory=list)
@@ -137,6 +139,8 @@ class FakeBackpack:
         return due
 
     def hear(self, payload: bytes) -> None:
+        if self.is_away:
+            return
         decoded = decode_downlink(payload)
         if isinstance(decoded, MessageFault):
             return  # counted and dropped, WIRE_FORMAT.md §7
