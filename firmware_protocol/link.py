@@ -233,9 +233,9 @@ class Link:
             if self.role is Role.RESPONDER and kind in {_Kind.DATA, _Kind.PING}:
                 self._push(_Kind.NEED_RESET, 0)
             return []
-        self._heard(now_ns)
         if self.state is LinkState.OPENING:
             return self._take_reset_ack(payload, now_ns) if kind == _Kind.RESET_ACK else []
+        self._heard(now_ns)
         if kind == _Kind.DATA:
             return self._take_data(sequence, payload)
         if kind == _Kind.ACK:

@@ -150,6 +150,13 @@ def session_vectors() -> list[Vector]:
             *[_step(6700 + 300 * number, "deadline", frames=["05010000"]) for number in range(5)],
             _step(8200, "deadline", events=["lost no_answer"]),
         ]),
+        _session("while opening only its RESET_ACK counts, and RESET is repeated for ever", "3.6", "initiator", [
+            _step(0, "open", 1, frames=[reset]),
+            *[_step(100, "receive", octets) for octets in ("0301000041", "04010000", "05010000", "06010000", "09010000", "0201000002")],
+            *[_step(500 * number, "deadline", frames=[reset]) for number in range(1, 12)],
+            _step(5_600, "receive", reset_ack, events=["opened"]),
+            _step(8_600, "deadline", frames=["05010000"]),
+        ]),
         _session("a coordinator that talks but acknowledges nothing is given up", "3.3", "initiator", [
             _step(0, "open", 1, frames=[reset]),
             _step(0, "receive", reset_ack, events=["opened"]),

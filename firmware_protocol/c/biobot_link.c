@@ -341,7 +341,6 @@ void bb_link_receive(struct bb_link *link, const uint8_t *body, uint8_t length, 
         }
         return;
     }
-    heard(link, now_ms);
 #if BB_LINK_INITIATOR
     if (link->state == BB_LINK_OPENING) {
         if (kind == RESET_ACK) {
@@ -350,6 +349,7 @@ void bb_link_receive(struct bb_link *link, const uint8_t *body, uint8_t length, 
         return;
     }
 #endif
+    heard(link, now_ms);
     if (kind == DATA) {
         take_data(link, body[3], body + BB_LINK_HEADER_SIZE, length, event);
     } else if (kind == ACK) {
