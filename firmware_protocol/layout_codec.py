@@ -5,7 +5,7 @@ and may go on after the last one: what follows is of a newer peer, and ignored. 
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import TypeAlias
 
@@ -74,13 +74,29 @@ class LayoutCodec:
         """Return the fields of a body and its entries, as many as there are."""
         if len(body) not in self._entries_sizes:
             return LayoutFault.BAD_LENGTH
-        if not self._size:
-            return (), tuple(self._iter_entries(body))
         values = self._packing.unpack_from(body)
         for index, low, high in self._limits:
             if not low <= values[index] <= high:
                 return LayoutFault.BAD_VALUE
         return values, tuple(self._iter_entries(body[self._size :]))
+
+    def make_entries_reader(self) -> "Callable[[bytes], tuple[Values, tuple[Values, ...]] | LayoutFault]":
+        """Return what does as ``read_entries`` does for a layout of entries alone, with all it needs at hand: most messages are such.
+
+        Raises
+        ------
+        ValueError
+            The layout has fields too.
+        """
+        if self._size:
+            msg = f"layout {self.layout.name} has fields before its entries"
+            raise ValueError(msg)
+        sizes, iter_entries = self._entries_sizes, self._iter_entries
+
+        def read(body: bytes) -> tuple[Values, tuple[Values, ...]] | LayoutFault:
+            return ((), tuple(iter_entries(body))) if len(body) in sizes else LayoutFault.BAD_LENGTH
+
+        return read
 
     def read_text(self, body: bytes) -> tuple[Values, bytes] | LayoutFault:
         """Return the fields of a body and the octets of its text, which may be no good UTF-8."""

@@ -100,7 +100,8 @@ def decode_uplink_fields(payload: bytes) -> UplinkFields | MessageFault:
         return MessageFault.UNKNOWN_TYPE
     body = read(payload[_UPLINK_HEAD_SIZE:-CRC_SIZE])
     if isinstance(body, tuple):  # an instance of a plain class is told in a third of the time that one of an enum takes
-        return (header, *body)
+        values, rest = body
+        return header, values, rest
     return _FAULTS[body]
 
 
@@ -305,8 +306,8 @@ _NEIGHBOURS = _UPLINKS["Neighbours"]
 _DIAGNOSTIC = _UPLINKS["Diagnostic"]
 
 _OPEN_READERS: dict[str, _Read] = {
-    "EncounterBatch": _ENCOUNTERS.read_entries,
-    "EncounterBatchWithPaths": _ENCOUNTERS_WITH_PATHS.read_entries,
+    "EncounterBatch": _ENCOUNTERS.make_entries_reader(),
+    "EncounterBatchWithPaths": _ENCOUNTERS_WITH_PATHS.make_entries_reader(),
     "Neighbours": _read_neighbours,
     "Diagnostic": _DIAGNOSTIC.read_text,
 }
