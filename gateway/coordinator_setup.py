@@ -7,6 +7,7 @@ import time
 from collections import deque
 from typing import Protocol
 
+from firmware_protocol.dialects.choice import FORMING_DIALECTS
 from firmware_protocol.dialects.configurator import Configurator
 from firmware_protocol.envelope import LEAVE_CHANNEL, LEAVE_JOINING, LEAVE_PAN_ID, ConfigureCoordinator, CoordinatorConfigured
 from firmware_protocol.errors import ConfigurationError
@@ -73,7 +74,13 @@ async def configure(spec: PortSpec, request: ConfigureCoordinator, *, timeout_s:
         The port cannot be opened or has gone, or nothing answers in time.
     """
     if not isinstance(spec, CanSpec) and spec.dialect != "native":
-        reason = f"dialect {spec.dialect} is set up by its maker's tool; configure speaks to native and CAN coordinators"
+        how = (
+            "give the network when the port is opened, and it is formed so where there is none: "
+            f"{spec.name}?dialect={spec.dialect}&channel=15&pan_id=0x1234&permit_join_s=60"
+            if spec.dialect in FORMING_DIALECTS
+            else 'docs/dongles.md, "Set-up without XCTU", tells how with a terminal program'
+        )
+        reason = f"configure speaks to native and CAN coordinators, not to dialect {spec.dialect}; {how}"
         raise TransportSpecError(spec=spec.name, reason=reason)
     transport = await open_transport(spec)
     try:

@@ -19,7 +19,7 @@ from simulator.config_sources import load_config
 from simulator.doors import Doors
 from simulator.errors import ParameterError
 from simulator.events import Event
-from simulator.lines.faults import FaultFlag
+from simulator.lines.faults import FAULT_KEYS, FaultFlag
 from simulator.lines.line import EXAMPLES, LineSpec, parse_line
 from simulator.log import EventLog, set_up_logging
 from simulator.output import OutputDirectory
@@ -74,7 +74,8 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
         "--link",
         action="append",
         metavar="SPEC",
-        help="what the gateway opens: pty:PATH, tcp:HOST:PORT or serial:DEVICE, each with ?baud=N; again for a further coordinator",
+        help="what the gateway opens: pty:PATH, tcp:HOST:PORT or serial:DEVICE, each with ?baud=N&dialect=D (native, xbee, xbee-ap1, znp "
+        "and others), or slcan:PATH?unit=N, a CAN adapter; again for a further coordinator",
     )
     parser.add_argument(
         "--coordinator-place",
@@ -88,7 +89,7 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
         "--fault",
         action=FaultFlag,
         metavar="KEY=VALUE",
-        help="a fault of lines and dongles, as bit-flip=1e-4 or unplug=0.1; may come again",
+        help=f"a fault of lines and dongles, as bit-flip=1e-4 or unplug=0.1; may come again; docs/wire.md explains: {FAULT_KEYS}",
     )
     parser.add_argument("--coverage-radius", type=float, metavar="R", help="how far a coordinator is heard (default: everywhere)")
 

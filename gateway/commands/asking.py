@@ -68,7 +68,14 @@ def command(options: argparse.Namespace) -> int:
             StimulationRequest,
         )
     except msgspec.ValidationError as error:
-        raise ConfigurationError([f"command: {error}"]) from error
+        what, at, name = str(error).partition(" - at `$.")
+        key = name.rstrip("`")
+        told = (
+            f"{'node' if key == 'node' else '--' + key.replace('_', '-')} is {getattr(options, key)!r}: {what}"
+            if at and hasattr(options, key)
+            else str(error)
+        )
+        raise ConfigurationError([f"command: {told}; biobot-gateway command --help tells more"]) from error
     outcome: Stage | None = None
     connect = options.connect or [_ENDPOINT]
     for stage in send_command(request, site=options.site, gateway=options.gateway, connect=connect, timeout_s=_COMMAND_TIMEOUT_S):

@@ -11,8 +11,8 @@ from firmware_protocol.units import NodeId
 from gateway.acceptance.check_radio import check_radio
 from gateway.acceptance.plan import Plan
 from gateway.acceptance.results import Outcome, Result
-from gateway.commands.outcome import DONE, FAILED
-from gateway.transports.spec import parse_port_spec
+from gateway.commands.outcome import DONE, FAILED, complain
+from gateway.transports.spec import PortSpec, parse_port_spec
 
 _MARKS = {Outcome.PASSED: "pass", Outcome.FAILED: "FAIL", Outcome.SKIPPED: "skip"}
 
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``check-radio``."""
     parser.add_argument("port", metavar="PORT", help="a device's path, or as --port of `run` has it")
     parser.add_argument("--dialect", choices=DIALECTS, help="what it speaks (default: as the port says, or native)")
-    parser.add_argument("--node", type=int, metavar="N", help="the biobot to talk to (default: the first that is heard)")
+    parser.add_argument("--node", type=int, metavar="N", help="the biobot to talk to (default: one that answers)")
     parser.add_argument("--stimulate", action="store_true", help="also start and stop that biobot: a living animal, past gate and journal")
     parser.add_argument("--soak-s", type=float, default=0.0, metavar="S", help="at last ask all for their time for so long")
     parser.add_argument("--json", action="store_true", help="the report as JSON")
@@ -40,16 +40,30 @@ def check(options: argparse.Namespace) -> int:
     node = None if options.node is None else NodeId(options.node)
     plan = Plan(node=node, stimulates=options.stimulate, soak_s=options.soak_s)
 
+    results: list[Result] = []
+
     def on_result(result: Result) -> None:
+        results.append(result)
         if not options.json:
             figures = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in result.figures.items())
             told = "; ".join(part for part in (result.detail, figures) if part)
             print(f"{_MARKS[result.outcome]}  {result.name}{': ' if told else ''}{told}", flush=True)
 
-    report = asyncio.run(check_radio(spec, plan, on_result=on_result))
+    try:
+        report = asyncio.run(check_radio(spec, plan, on_result=on_result))
+    except KeyboardInterrupt:
+        if options.json:
+            _print_json(text, spec, results, is_passed=False)
+        return complain(f"interrupted after {len(results)} checks; what is not told was not tried", status=FAILED)
     if options.json:
-        results = [asdict(result) | {"outcome": result.outcome.value} for result in report.results]
-        print(json.dumps({"port": text, "dialect": spec.dialect, "is_passed": report.is_passed, "results": results}, indent=2))
+        _print_json(text, spec, results, is_passed=report.is_passed)
     else:
-        print("all that is required passed" if report.is_passed else f"not passed: {report.n_failed} failed")
+        n_untried = sum(one.outcome is Outcome.SKIPPED and one.is_required for one in report.results)
+        untried = f", {n_untried} could not be tried" if n_untried else ""
+        print("all that is required passed" if report.is_passed else f"not passed: {report.n_failed} failed{untried}")
     return DONE if report.is_passed else FAILED
+
+
+def _print_json(port: str, spec: PortSpec, results: list[Result], *, is_passed: bool) -> None:
+    told = [asdict(result) | {"outcome": result.outcome.value} for result in results]
+    print(json.dumps({"port": port, "dialect": spec.dialect, "is_passed": is_passed, "results": told}, indent=2))

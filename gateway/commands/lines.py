@@ -2,6 +2,7 @@
 
 import argparse
 import asyncio
+import contextlib
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,10 +14,10 @@ from gateway.recordings.dialects import make_line_dissector
 from gateway.recordings.line_offer import parse_offer
 from gateway.recordings.listening import Listening, listen
 from gateway.recordings.printing import LinePrinter, as_json, as_text, summary
-from gateway.recordings.recorder import record_to_file
+from gateway.recordings.recorder import Recorder, record_to_file
 from gateway.recordings.replaying import Recording, offer_recording, open_recording, paced
 from gateway.transports.recording import LineRecord
-from gateway.transports.spec import parse_port_spec
+from gateway.transports.spec import PortSpec, parse_port_spec
 
 
 def add_listening_arguments(parser: argparse.ArgumentParser, *, is_required: bool = True) -> None:
@@ -59,10 +60,16 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def sniff(options: argparse.Namespace) -> int:
-    """Print what passes on a port."""
+    """Print what passes on a port; failed where its dongle never answered in its dialect."""
     spec = parse_port_spec(options.port)
     printer = LinePrinter(make_line_dissector(spec.dialect, path=options.port))
-    recorder = None if options.record is None else record_to_file(options.record, port=options.port, dialect=spec.dialect)
+
+    def on_fault(fault: str) -> None:
+        _tell_fault(options.record, fault)
+
+    recorder = None
+    if options.record is not None:
+        recorder = record_to_file(options.record, port=options.port, dialect=spec.dialect, on_fault=on_fault)
 
     def take(record: LineRecord) -> None:
         if recorder is not None:
@@ -70,26 +77,53 @@ def sniff(options: argparse.Namespace) -> int:
         _print(printer, record, is_json=options.json)
 
     try:
-        asyncio.run(listen(spec, how=how_to_listen(options), take=take))
+        has_answered = asyncio.run(listen(spec, how=how_to_listen(options), take=take))
     finally:
         if recorder is not None:
             recorder.close()
         complain(summary(printer.counts))
-    return FAILED if recorder is not None and recorder.fault is not None else DONE
+    status = DONE if has_answered else tell_no_answer(spec.dialect, options.port)
+    return FAILED if recorder is not None and recorder.fault is not None else status
 
 
 def record(options: argparse.Namespace) -> int:
-    """Record what passes on a port."""
+    """Record what passes on a port, until told to end or the disk is full."""
     spec = parse_port_spec(options.port)
-    recorder = record_to_file(options.file, port=options.port, dialect=spec.dialect)
-    try:
-        asyncio.run(listen(spec, how=how_to_listen(options), take=recorder.take))
-    finally:
-        recorder.close()
+    recorder, has_answered = asyncio.run(_record(spec, options))
     if recorder.fault is not None:
-        return complain(f"recording {options.file} has ended early: {recorder.fault}; make room, and begin anew", status=FAILED)
+        return _tell_fault(options.file, recorder.fault)
     complain(f"{options.file}: {options.file.stat().st_size} bytes")
-    return DONE
+    return DONE if has_answered else tell_no_answer(spec.dialect, options.port)
+
+
+async def _record(spec: PortSpec, options: argparse.Namespace) -> tuple[Recorder, bool]:
+    loop, is_ended = asyncio.get_running_loop(), asyncio.Event()
+
+    def on_fault(_fault: str) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed: it comes out at the end all the same
+            loop.call_soon_threadsafe(is_ended.set)
+
+    recorder = record_to_file(options.file, port=options.port, dialect=spec.dialect, on_fault=on_fault)
+    listening = asyncio.ensure_future(listen(spec, how=how_to_listen(options), take=recorder.take))
+    ending = asyncio.ensure_future(is_ended.wait())
+    try:
+        await asyncio.wait({listening, ending}, return_when=asyncio.FIRST_COMPLETED)
+        return recorder, listening.done() and listening.result()
+    finally:
+        for task in (listening, ending):
+            task.cancel()
+        await asyncio.gather(listening, ending, return_exceptions=True)
+        await asyncio.to_thread(recorder.close)
+
+
+def tell_no_answer(dialect: str, port: str) -> int:
+    """Say that the dongle did not answer in its dialect; returns the exit status."""
+    place = port.split("?", maxsplit=1)[0].removeprefix("serial:")
+    return complain(f"the dongle did not answer as {dialect}; `biobot-gateway probe {place}` tells what it is", status=FAILED)
+
+
+def _tell_fault(path: Path, fault: str) -> int:
+    return complain(f"recording {path} has ended early: {fault}; make room, and begin anew", status=FAILED)
 
 
 def replay(options: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from firmware_protocol.errors import ConfigurationError
-from gateway.commands.lines import add_listening_arguments, how_to_listen
+from gateway.commands.lines import add_listening_arguments, how_to_listen, tell_no_answer
 from gateway.commands.outcome import DONE, complain
 from gateway.errors import RecordingError
 from gateway.recordings.capture import SECTION_COMMENT, Capture
@@ -48,9 +48,8 @@ def pcap(options: argparse.Namespace) -> int:
         return DONE
     if options.port is None:
         _convert(Path("/dev/stdin") if options.paths[0] == _STANDARD else Path(options.paths[0]), options.paths[1])
-    else:
-        _capture_live(options)
-    return DONE
+        return DONE
+    return _capture_live(options)
 
 
 def _convert(path: Path, out: str) -> None:
@@ -65,7 +64,7 @@ def _convert(path: Path, out: str) -> None:
         complain(f"{path}: {recording.n_damages} damaged places are left out")
 
 
-def _capture_live(options: argparse.Namespace) -> None:
+def _capture_live(options: argparse.Namespace) -> int:
     spec = parse_port_spec(options.port)
     dissector = make_line_dissector(spec.dialect, path=options.port)
     n_packets = 0
@@ -80,9 +79,10 @@ def _capture_live(options: argparse.Namespace) -> None:
             n_packets = capture.n_packets
 
         try:
-            asyncio.run(listen(spec, how=how_to_listen(options), take=take))
+            has_answered = asyncio.run(listen(spec, how=how_to_listen(options), take=take))
         finally:
             complain(f"{n_packets} packets")
+    return DONE if has_answered else tell_no_answer(spec.dialect, options.port)
 
 
 def _writer(stream: BinaryIO) -> PcapngWriter:

@@ -4,6 +4,7 @@ Unlike a ``Host``, which takes part, this only looks: it knows no session and fo
 whether they are heard live, read from a file, or begin in the middle.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -84,6 +85,8 @@ class Dialect:
         Says what a frame body means, and given True, one to the dongle; never raises.
     delimiter
         The byte that ends every frame, and stands nowhere else; None where there is none.
+    text
+        What a whole write to the dongle looks like that is text and no frame; None: there is none.
     make_cutter
         Makes what cuts one direction into CAN frames; None where the line is no CAN bus.
     """
@@ -91,6 +94,7 @@ class Dialect:
     make_decoder: Callable[[], FrameDecoder]
     dissect: Callable[[bytes, bool], Dissection]
     delimiter: bytes | None = None
+    text: re.Pattern[bytes] | None = None
     make_cutter: Callable[[], FrameCutter] | None = None
 
 
@@ -117,6 +121,8 @@ class LineDissector:
 
     def feed(self, chunk: bytes, *, is_outgoing: bool) -> list[Dissection]:
         """Take the next bytes of a direction; return the frames and faults that they complete."""
+        if is_outgoing and self.dialect.text is not None and self.dialect.text.fullmatch(chunk):
+            return [Dissection(is_outgoing=True, name="text", fields={"says": chunk.decode("latin-1").rstrip("\r")})]
         return [
             Dissection(is_outgoing=is_outgoing, name="fault", fault=f"frame.{body.value}")
             if isinstance(body, FrameFault)

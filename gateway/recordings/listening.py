@@ -7,10 +7,12 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
 from firmware_protocol.dialects.choice import make_host
-from firmware_protocol.dialects.interface import HostEvent, PayloadHeard
+from firmware_protocol.dialects.interface import HostEvent, HostLost, HostOpened, PayloadHeard
 from gateway.host_session import HostSession, run_until
+from gateway.recordings.dialects import make_line_dissector
+from gateway.recordings.dissection import LineDissector
 from gateway.transports.interface import Transport
-from gateway.transports.recording import RecordingTransport, TakeRecord
+from gateway.transports.recording import LineRecord, RecordingTransport, RecordKind, TakeRecord
 from gateway.transports.spec import PortSpec, open_transport
 
 
@@ -34,8 +36,28 @@ class Listening:
     duration_s: float | None = None
 
 
-async def listen(spec: PortSpec, *, how: Listening, take: TakeRecord) -> None:
-    """Listen until told to end.
+@dataclass(slots=True)
+class _Answer:
+    """Whether the dongle answers in its dialect."""
+
+    dissector: LineDissector
+    was_open: bool = False
+    was_lost: bool = False
+    has_frames: bool = False
+
+    @property
+    def came(self) -> bool:
+        return self.was_open or (self.has_frames and not self.was_lost)
+
+    def look(self, record: LineRecord) -> None:
+        if record.kind is RecordKind.BYTES_IN and not self.has_frames:
+            self.has_frames = any(not one.fault for one in self.dissector.feed(record.data, is_outgoing=False))
+
+
+async def listen(spec: PortSpec, *, how: Listening, take: TakeRecord) -> bool:
+    """Listen until told to end; returns whether the dongle answered in its dialect; True of a passive listener, who asks nothing.
+
+    It answered if it was opened, or if it was still being opened without a failure and frames had come.
 
     Raises
     ------
@@ -43,14 +65,22 @@ async def listen(spec: PortSpec, *, how: Listening, take: TakeRecord) -> None:
         The port cannot be opened, or has gone.
     """
     async with stopped_by_signals(how.duration_s) as stop:
-        transport = RecordingTransport(await open_transport(spec), take=take)
+        answer = _Answer(make_line_dissector(spec.dialect, path=spec.name))
+
+        def take_and_look(record: LineRecord) -> None:
+            answer.look(record)
+            take(record)
+
+        transport = RecordingTransport(await open_transport(spec), take=take_and_look)
         try:
             if how.is_passive:
                 await _only_read(transport, stop)
             else:
-                await run_until(_make_session(transport, spec, how), stop)
+                await run_until(_make_session(transport, spec, how, answer), stop)
+                return answer.came
         finally:
             await transport.aclose()
+    return True
 
 
 @contextlib.asynccontextmanager
@@ -75,8 +105,10 @@ async def stopped_by_signals(duration_s: float | None = None) -> AsyncIterator[a
             loop.remove_signal_handler(number)
 
 
-def _make_session(transport: Transport, spec: PortSpec, how: Listening) -> HostSession:
+def _make_session(transport: Transport, spec: PortSpec, how: Listening, answer: _Answer) -> HostSession:
     def on_event(event: HostEvent, _now_ns: int) -> None:
+        answer.was_open = answer.was_open or isinstance(event, HostOpened)
+        answer.was_lost = answer.was_lost or isinstance(event, HostLost)
         if how.confirms and isinstance(event, PayloadHeard):
             session.confirm(event.receipt)
 

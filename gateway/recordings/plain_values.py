@@ -1,4 +1,4 @@
-"""Messages and envelopes as plain values, as JSON has them: names for enumerations, hexadecimal for bytes."""
+"""Messages and envelopes as plain values, as JSON has them: names for enumerations, hexadecimal for bytes and 64-bit addresses."""
 
 from dataclasses import fields, is_dataclass
 from enum import Enum, Flag
@@ -9,9 +9,9 @@ import msgspec
 def fields_of(value: object) -> dict[str, object]:
     """Return the fields of a message or an envelope by name."""
     if isinstance(value, msgspec.Struct):
-        return {name: plain(getattr(value, name)) for name in value.__struct_fields__}
+        return {name: _plain_field(name, getattr(value, name)) for name in value.__struct_fields__}
     if is_dataclass(value):
-        return {one.name: plain(getattr(value, one.name)) for one in fields(value)}
+        return {one.name: _plain_field(one.name, getattr(value, one.name)) for one in fields(value)}
     return {}
 
 
@@ -28,3 +28,7 @@ def plain(value: object) -> object:
     if is_dataclass(value) or isinstance(value, msgspec.Struct):
         return fields_of(value)
     return value
+
+
+def _plain_field(name: str, value: object) -> object:
+    return f"{value:016x}" if name.endswith("64") and isinstance(value, int) else plain(value)  # as labels have them

@@ -39,14 +39,25 @@ class Recorder:
         For the header.
     max_file_bytes
         After so much the next file begins; None: all in one.
+    on_fault
+        Is told, on the recorder's thread, why recording has ended before its time.
     """
 
-    def __init__(self, *, open_next: Callable[[], BinaryIO], port: str, dialect: str, max_file_bytes: int | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        open_next: Callable[[], BinaryIO],
+        port: str,
+        dialect: str,
+        on_fault: Callable[[str], None],
+        max_file_bytes: int | None = None,
+    ) -> None:
         self.fault: str | None = None
         """Why recording has ended before its time, if it has."""
         self._open_next = open_next
         self._port = port
         self._dialect = dialect
+        self._on_fault = on_fault
         self._max_file_bytes = max_file_bytes
         self._waiting: deque[LineRecord] = deque()
         self._n_waiting = 0
@@ -91,7 +102,7 @@ class Recorder:
             with self._changed:
                 self.fault = error.strerror or str(error)
                 self._waiting.clear()
-            _log.warning("recording.ended", port=self._port, reason=self.fault, advice="make room, then start again")
+            self._on_fault(self.fault)
 
     def _write_files(self) -> None:
         batch: deque[bytes] = deque()
@@ -127,8 +138,8 @@ class Recorder:
         )
 
 
-def record_to_file(path: Path, *, port: str, dialect: str) -> Recorder:
-    """Record into one new file.
+def record_to_file(path: Path, *, port: str, dialect: str, on_fault: Callable[[str], None] = lambda _: None) -> Recorder:
+    """Record into one new file; ``fault`` tells at the end whether all was written.
 
     Raises
     ------
@@ -141,7 +152,7 @@ def record_to_file(path: Path, *, port: str, dialect: str) -> Recorder:
         raise RecordingError(path=str(path), reason="is there already; name another file, or remove it") from error
     except OSError as error:
         raise RecordingError(path=str(path), reason=f"cannot be made: {error.strerror}") from error
-    return Recorder(open_next=lambda: file, port=port, dialect=dialect)
+    return Recorder(open_next=lambda: file, port=port, dialect=dialect, on_fault=on_fault)
 
 
 def record_to_directory(directory: Path, *, radio: str, port: str, dialect: str, max_bytes: int) -> Recorder:
@@ -171,7 +182,10 @@ def record_to_directory(directory: Path, *, radio: str, port: str, dialect: str,
             except FileExistsError:
                 continue
 
-    return Recorder(open_next=open_next, port=port, dialect=dialect, max_file_bytes=max_file_bytes)
+    def on_fault(reason: str) -> None:
+        _log.warning("recording.ended", port=port, reason=reason, advice="make room, then start again")
+
+    return Recorder(open_next=open_next, port=port, dialect=dialect, on_fault=on_fault, max_file_bytes=max_file_bytes)
 
 
 def _remove_oldest(directory: Path, stem: str, *, room_for: int, max_bytes: int) -> None:

@@ -1,5 +1,6 @@
 """API frames of an XBee, looked at from beside the line (WIRE_FORMAT.md §8)."""
 
+import re
 from dataclasses import dataclass, field
 
 from firmware_protocol.dialects.xbee_frames import (
@@ -71,4 +72,7 @@ def _n_bodies(results: list[bytes | FrameFault]) -> int:
     return sum(isinstance(one, bytes) for one in results)
 
 
-XBEE = Dialect(make_decoder=EitherModeDecoder, dissect=dissect_xbee)
+_TEXT = re.compile(rb"\+\+\+|(AT[ -~]{1,80}\r)+")
+"""What switches a module in transparent mode to API mode: ``+++``, and commands in its command mode."""
+
+XBEE = Dialect(make_decoder=EitherModeDecoder, dissect=dissect_xbee, text=_TEXT)

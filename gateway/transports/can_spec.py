@@ -54,6 +54,11 @@ class CanSpec:
         return f"can:{self.interface}:{self.channel}"
 
     @property
+    def bus_options(self) -> str:
+        """What all units of a bus share, as text."""
+        return f"fd={self.is_fd:d}" + (f", bitrate={self.bitrate}, dbitrate={self.data_bitrate}" if self.interface == "slcan" else "")
+
+    @property
     def network(self) -> NetworkWish | None:
         """Nothing: coordinators on CAN are told by ``biobot-gateway configure``."""
         return None

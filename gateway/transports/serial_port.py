@@ -206,10 +206,15 @@ def _open_blocking(path: str, baud: int) -> serial.Serial:
 
 def _explain(error: Exception, path: str) -> str:
     number = getattr(error, "errno", None)
+    if number is None:  # pyserial keeps the number of some in what it was raised from
+        cause = error if isinstance(error, termios.error) else error.__context__
+        number = cause.args[0] if isinstance(cause, termios.error) and cause.args else None
     if number == 2:
         return f"there is no {path}; `biobot-gateway list-ports` shows what there is"
     if number == 13:
         return f"{path} may not be opened by this user; join the group that owns it, often `dialout`"
     if number in {11, 16}:
         return f"{path} is in use by another process"
+    if number in {21, 25}:  # a directory; something that knows no settings of a line, as a file
+        return f"{path} is no serial port; `biobot-gateway list-ports` shows what there is"
     return str(error)

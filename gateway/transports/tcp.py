@@ -67,7 +67,11 @@ async def open_tcp(*, host: str, port: int) -> TcpTransport:
         async with asyncio.timeout(_OPEN_TIMEOUT_S):
             reader, writer = await asyncio.open_connection(host, port, limit=2 * _READ_SIZE)
     except TimeoutError as error:
-        raise TransportOpenError(name=name, reason=f"no answer within {_OPEN_TIMEOUT_S:g} s") from error
+        reason = f"no answer within {_OPEN_TIMEOUT_S:g} s; is the address right, and the device on this network?"
+        raise TransportOpenError(name=name, reason=reason) from error
+    except ConnectionRefusedError as error:
+        reason = f"{host} is there, but nothing listens on port {port}; is the port right, does the serial server or simulator run?"
+        raise TransportOpenError(name=name, reason=reason) from error
     except (OSError, ValueError) as error:  # ValueError: a host's name that cannot be asked for, as one with an empty label
         raise TransportOpenError(name=name, reason=str(error)) from error
     writer.transport.set_write_buffer_limits(high=0)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_type_hints
 
 import msgspec
 
@@ -181,14 +181,19 @@ class FaultFlag(argparse.Action):
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: object, option_string: str | None = None
     ) -> None:
         """Put each value where the configuration looks for it."""
-        known = {field.name for field in msgspec.structs.fields(FaultConfig)}
+        hints = get_type_hints(FaultConfig, include_extras=True)
         for item in str(values).split(","):
             key, equals, text = item.partition("=")
             name = key.strip().replace("-", "_")
-            if not equals or name not in known:
+            if not equals or name not in hints:
                 example = "--fault bit-flip=1e-4 --fault unplug=0.1,unplug-s=2"
-                parser.error(f"{option_string} {item!r}; wanted one of {', '.join(sorted(known))}, = and a value, as in {example}")
-            setattr(namespace, f"faults.{name}", _READERS.get(name, _number)(text.strip()))
+                parser.error(f"{option_string} {item!r}; wanted one of {', '.join(hints)}, = and a value, as in {example}")
+            value = _READERS.get(name, _number)(text.strip())
+            try:
+                msgspec.convert(value, hints[name])
+            except msgspec.ValidationError as error:
+                parser.error(f"{option_string} {item!r}: {error}; docs/wire.md tells the limits")
+            setattr(namespace, f"faults.{name}", value)
 
 
 def _number(text: str) -> float | str:
@@ -203,3 +208,6 @@ def _lines(text: str) -> Sequence[int | str]:
 
 
 _READERS: dict[str, Callable[[str], object]] = {"direction": str, "lines": _lines}
+
+FAULT_KEYS = ", ".join(name.replace("_", "-") for name in FaultConfig.__struct_fields__)
+"""What ``--fault`` knows, for help."""

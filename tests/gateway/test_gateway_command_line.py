@@ -71,6 +71,8 @@ def test_flags_win_over_the_environment_and_that_over_the_file(tmp_path: Path) -
         ("name = 'a/b'\n", [], "a gateway name has"),
         ("", ["--port", "can:can0"], "must be can:INTERFACE:CHANNEL"),
         ("", ["--port", "tcp:127.0.0.1:1"], "is named twice"),
+        ("", ["--port", "can:slcan:/dev/x?unit=1&fd=1", "--port", "can:slcan:/dev/x?unit=2"], "the same for all units of a bus"),
+        ("", ["--port", "can:slcan:/dev/x?unit=1", "--port", "can:slcan:/dev/x?unit=2&bitrate=250000"], "bitrate=250000"),
         ("name = ", [], "not valid TOML"),
     ],
 )
@@ -89,8 +91,8 @@ def test_no_port_a_missing_file_and_bad_usage_are_exit_2(tmp_path: Path) -> None
         (["run", "--config", "nowhere.toml"], "nowhere.toml"),
         (["fly"], "invalid choice"),
         (["command", "7", "jump"], "invalid choice"),
-        (["command", "-7", "stop"], "node"),
-        (["command", "7", "stop", "--ttl-ms", "0"], "ttl_ms"),
+        (["command", "-7", "stop"], "node is -7"),
+        (["command", "7", "stop", "--ttl-ms", "0"], "--ttl-ms is 0"),
     ):
         result = _gateway(*arguments, cwd=tmp_path)
         assert (result.returncode, "Traceback" in result.stderr) == (2, False), result.stderr

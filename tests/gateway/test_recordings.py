@@ -3,6 +3,7 @@
 import asyncio
 import io
 import logging
+import shutil
 from pathlib import Path
 
 import pytest
@@ -142,19 +143,32 @@ def test_the_files_of_a_radio_keep_the_newest_within_their_limit(tmp_path: Path)
     assert other.stat().st_size == limit, "another radio's files are not touched"
 
 
-def test_a_full_disk_ends_recording_with_one_warning_and_never_the_line(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_directory_that_takes_no_more_ends_recording_with_one_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, logger="gateway"):
+        recorder = record_to_directory(tmp_path / "d", radio="r", port="p", dialect="native", max_bytes=40_000)
+        shutil.rmtree(tmp_path / "d")
+        for one in range(200):
+            recorder.take(a_record(bytes(1000), one))
+        recorder.close()
+
+    assert recorder.fault
+    assert [record.getMessage() for record in caplog.records] == ["recording.ended"]
+
+
+def test_a_full_disk_ends_recording_told_once_and_never_the_line(caplog: pytest.LogCaptureFixture) -> None:
     full = Path("/dev/full")
     if not full.exists():
         pytest.skip("this system has no /dev/full")
+    told: list[str] = []
     with caplog.at_level(logging.WARNING, logger="gateway"):
-        recorder = Recorder(open_next=lambda: full.open("wb"), port="p", dialect="native")
+        recorder = Recorder(open_next=lambda: full.open("wb"), port="p", dialect="native", on_fault=told.append)
         for one in range(200):
             recorder.take(a_record(bytes(1000), one))
         recorder.close()
         recorder.take(a_record(b"later"))
 
-    assert recorder.fault
-    assert [record.getMessage() for record in caplog.records] == ["recording.ended"]
+    assert told == [recorder.fault]
+    assert caplog.records == [], "whoever asked for one file is told, not the log"
 
 
 def test_a_recording_transport_tells_all_that_passes_and_how_it_ended() -> None:

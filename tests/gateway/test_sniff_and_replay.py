@@ -13,9 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.dialects.choice import DIALECTS
+from firmware_protocol.dialects.xbee_frames import Receive
+from firmware_protocol.envelope import CoordinatorHello
 from gateway.recordings.dialects import make_line_dissector
 from gateway.recordings.line_offer import parse_offer
 from gateway.recordings.listening import Listening, listen
+from gateway.recordings.plain_values import fields_of
 from gateway.recordings.printing import LinePrinter, as_json, as_text
 from gateway.recordings.recorder import record_to_file
 from gateway.recordings.replaying import offer_recording, open_recording
@@ -150,3 +153,41 @@ def test_no_bytes_raise_in_the_decoder_or_the_printers(dialect: str, chunks: lis
         for event in printer.take(LineRecord(kind=kind, monotonic_ns=0, wall_ns=1 << 63, data=chunk)):
             assert json.loads(as_json(event)) == event
             assert "\n" not in as_text(event)
+
+
+@pytest.mark.parametrize("command", ["sniff", "record"])
+def test_listening_in_the_wrong_dialect_fails_and_names_the_next_step(command: str, tmp_path: Path) -> None:
+    async def run() -> list[tuple[int | None, str]]:
+        ends = []
+        async with dongle_on_tcp("native") as (_, spec):
+            place = spec.split("?")[0]
+            for number, (dialect, *more) in enumerate([("znp",), ("znp", "--passive"), ("native",)]):
+                file = [f"{number}.biorec"] if command == "record" else []
+                port = ("--port", f"{place}?dialect={dialect}", "--duration-s", "1")
+                process = await start(command, *file, *port, *more, cwd=tmp_path)
+                _, error = await process.communicate()
+                ends.append((process.returncode, error.decode()))
+        return ends
+
+    wrong, passive, right = asyncio.run(run())
+
+    assert wrong[0] == 1
+    assert "did not answer as znp; `biobot-gateway probe tcp:127.0.0.1:" in wrong[1]
+    assert [(status, "did not answer" in error) for status, error in (passive, right)] == [(0, False)] * 2
+
+
+def test_addresses_of_64_bits_are_printed_as_on_labels() -> None:
+    hello = CoordinatorHello(firmware=1, eui64=0x00124B0000001000, pan_id=1, channel=20, max_radio_payload=57)
+    frame = Receive(source64=0x0013A200407D1113, source16=0x1234, options=1, payload=b"", endpoints=None)
+
+    assert fields_of(hello)["eui64"] == "00124b0000001000"
+    assert fields_of(frame)["source64"] == "0013a200407d1113"
+
+
+def test_the_text_that_opens_a_transparent_xbee_is_no_fault() -> None:
+    dissector = make_line_dissector("xbee", path="x")
+
+    told = [one for text in (b"+++", b"ATAP2\r") for one in dissector.feed(text, is_outgoing=True)]
+
+    assert [(one.name, one.fields, one.fault) for one in told] == [("text", {"says": "+++"}, ""), ("text", {"says": "ATAP2"}, "")]
+    assert [one.fault for one in dissector.feed(b"+++", is_outgoing=False)] == ["frame.noise"]

@@ -105,7 +105,9 @@ def test_lines_are_counted_from_one_and_the_others_have_no_faults() -> None:
     ("flag", "words"),
     [
         ("bitflip=1", "bit_flip"), ("bit-flip", "bit-flip=1e-4"), ("bit-flip=0.9", "0.5"), ("bit-flip=x", "float"), ("stall=nan", "stall"),
-        ("lines=0", "faults.lines"), ("lines=a", "faults.lines"), ("direction=left", "both or up or down"), ("stall-s=0", "0.01"),
+        ("lines=0", "--fault 'lines=0'"), ("lines=a", "--fault 'lines=a'"),
+        ("bit-flip=2", "--fault 'bit-flip=2': Expected `float` <= 0.5; docs/wire.md"),
+        ("direction=left", "direction=left"), ("stall-s=0", "0.01"),
     ],
 )  # fmt: skip
 def test_a_wrong_fault_is_told_with_what_is_wanted(flag: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
