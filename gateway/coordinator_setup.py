@@ -78,7 +78,7 @@ async def configure(spec: PortSpec, request: ConfigureCoordinator, *, timeout_s:
             "give the network when the port is opened, and it is formed so where there is none: "
             f"{spec.name}?dialect={spec.dialect}&channel=15&pan_id=0x1234&permit_join_s=60"
             if spec.dialect in FORMING_DIALECTS
-            else 'docs/dongles.md, "Set-up without XCTU", tells how with a terminal program'
+            else 'docs/dongles.md tells how ("Set-up without XCTU" for an XBee)'
         )
         reason = f"configure speaks to native and CAN coordinators, not to dialect {spec.dialect}; {how}"
         raise TransportSpecError(spec=spec.name, reason=reason)

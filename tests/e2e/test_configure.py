@@ -108,5 +108,6 @@ def test_a_value_out_of_range_is_refused_before_the_port_is_opened(
 
 def test_a_dialect_without_that_question_is_refused() -> None:
     request = configuration_request(pan_id=1, channel=None, permit_join_s=None)
-    with pytest.raises(TransportSpecError, match="its maker's tool"):
-        asyncio.run(configure(parse_port_spec("tcp:127.0.0.1:9?dialect=can"), request))
+    for dialect, advice in (("xbee", "Set-up without XCTU"), ("znp", "channel=15&pan_id=0x1234"), ("can", "docs/dongles.md")):
+        with pytest.raises(TransportSpecError, match=advice):
+            asyncio.run(configure(parse_port_spec(f"tcp:127.0.0.1:9?dialect={dialect}"), request))
