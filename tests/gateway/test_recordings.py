@@ -143,7 +143,10 @@ def test_the_files_of_a_radio_keep_the_newest_within_their_limit(tmp_path: Path)
     assert other.stat().st_size == limit, "another radio's files are not touched"
 
 
-def test_a_directory_that_takes_no_more_ends_recording_with_one_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_directory_that_takes_no_more_ends_recording_with_one_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logging.getLogger("gateway"), "propagate", True)  # a command of another test may have set logging up
     with caplog.at_level(logging.WARNING, logger="gateway"):
         recorder = record_to_directory(tmp_path / "d", radio="r", port="p", dialect="native", max_bytes=40_000)
         shutil.rmtree(tmp_path / "d")
