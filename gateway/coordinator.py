@@ -251,8 +251,8 @@ class Coordinator:
         if self._reopen_at_ns is not None and now_ns >= self._reopen_at_ns:
             self._open_host()
         if not self._host.is_open and now_ns >= self._opening_until_ns:
-            reason = f"no answer for {self._config.open_timeout_s:g} s; is it a coordinator of this dialect, at this baud rate?"
-            raise TransportClosedError(name=transport.name, reason=reason)
+            question = "is it a coordinator of this dialect, at this baud rate? `biobot-gateway probe` tells"
+            raise TransportClosedError(name=transport.name, reason=f"no answer for {self._config.open_timeout_s:g} s; {question}")
         for ticket, sending in list(self._sendings.items()):
             if sending.deadline_ns > now_ns:
                 break

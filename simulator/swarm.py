@@ -13,12 +13,10 @@ from firmware_protocol.messages import EncounterBatch, EncounterBatchWithPaths, 
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
 from simulator.backpacks.backpack import MAX_NODE, Acknowledged, Backpack, BeaconsChanged, Effect, Transmission
 from simulator.backpacks.stimulator import Actuation
-from simulator.dongles.choice import DEFAULT_DIALECT, make_dongle
 from simulator.dongles.interface import Dongle
 from simulator.errors import ParameterError
 from simulator.events import BackpackSilenced, Cause, EncounterBegan, EncounterEnded, Event, Mode, ModeChanged
 from simulator.habitat import Habitat
-from simulator.lines.faulty_dongle import with_faults
 from simulator.radios.air import Air, DownlinkArrival, SendingDone, UplinkArrival
 from simulator.radios.coverage import Coverage, CoverageConfig, Place, spread_places
 from simulator.radios.live_sensing import LiveSensing
@@ -27,7 +25,7 @@ from simulator.radios.sensing import SensingConfig
 from simulator.reports import ReportLog
 from simulator.steering import ExecutedActuation, Steering
 from simulator.surroundings import Surroundings
-from simulator.swarm_config import SwarmConfig, draw_clock
+from simulator.swarm_config import SwarmConfig, draw_clock, make_coordinators
 
 _TICK_NS = 50 * NS_PER_MS
 _LONGEST_STEP_NS = 200 * NS_PER_MS
@@ -57,11 +55,7 @@ class Swarm:
         if world.ids[-1] > MAX_NODE:
             raise ParameterError(name="biobots", got=world.ids[-1], wanted=f"ids up to {MAX_NODE}: a node number has 16 bits")
         coverage = config.coverage or CoverageConfig(places=(_middle(world),))
-        dialects = config.dialects or (DEFAULT_DIALECT,) * len(coverage.places)
-        self.coordinators = tuple(
-            with_faults(make_dongle(dialect, index=index), config.faults, seed=config.seed, line=index)
-            for index, dialect in enumerate(dialects)
-        )
+        self.coordinators = make_coordinators(len(coverage.places), config)
         self.reports = ReportLog(keeps_rows=config.keeps_history)
         self._steering = Steering(
             world,

@@ -1,4 +1,4 @@
-"""How a swarm's backpacks are made, and the clocks that they are made with."""
+"""How a swarm's backpacks are made, and the clocks and coordinators that they are made with."""
 
 from dataclasses import dataclass, field
 
@@ -6,6 +6,9 @@ from firmware_protocol.units import BootId, NodeId
 from simulator import chance
 from simulator.backpacks.backpack_config import BackpackConfig
 from simulator.clock import BackpackClock, DriftingClock
+from simulator.dongles.choice import DEFAULT_DIALECT, make_dongle
+from simulator.dongles.interface import Dongle
+from simulator.lines.faulty_dongle import with_faults
 from simulator.lines.faults import FaultConfig
 from simulator.radios.coverage import CoverageConfig
 from simulator.radios.radio import RadioConfig
@@ -78,3 +81,12 @@ def draw_clock(node: NodeId, config: SwarmConfig) -> BackpackClock:
         return DriftingClock(start_ms=start_ms, drift_ppb=drift_ppb)
     wander_ppb = round(config.wander_ppm * 1000)
     return WanderingClock(start_ms=start_ms, drift_ppb=drift_ppb, wander_ppb=wander_ppb, seed=config.seed, node=node)
+
+
+def make_coordinators(count: int, config: SwarmConfig) -> tuple[Dongle, ...]:
+    """Make the dongles of a swarm, each of its dialect and with the faults that are asked for."""
+    dialects = config.dialects or (DEFAULT_DIALECT,) * count
+    return tuple(
+        with_faults(make_dongle(dialect, index=index), config.faults, seed=config.seed, line=index)
+        for index, dialect in enumerate(dialects)
+    )

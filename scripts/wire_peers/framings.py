@@ -11,6 +11,7 @@ import logging
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
 Bodies = list[bytes]
 Round = Callable[[list[bytes]], list[object]]
@@ -56,42 +57,35 @@ def zigpy_xbee() -> tuple[Round, Callable[[object], bytes]]:
     """Give chunks to the protocol that its serial port is connected to."""
     from zigpy_xbee.uart import Gateway  # noqa: PLC0415
 
-    class Api:
-        def __init__(self) -> None:
-            self.found: list[object] = []
-
-        def frame_received(self, frame: object) -> None:
-            self.found.append(frame)
-
-    def run(chunks: list[bytes]) -> list[object]:
-        api = Api()
-        gateway = Gateway(api)
-        for chunk in chunks:
-            gateway.data_received(chunk)
-        return api.found
-
-    return run, bytes
+    return _collect(Gateway), bytes
 
 
 def zigpy_znp() -> tuple[Round, Callable[[object], bytes]]:
     """Give chunks to the protocol that its serial port is connected to."""
     from zigpy_znp.uart import ZnpMtProtocol  # noqa: PLC0415
 
-    class Api:
-        def __init__(self) -> None:
-            self.found: list[object] = []
+    return _collect(ZnpMtProtocol), lambda frame: frame.serialize()[1:]  # without the length
 
-        def frame_received(self, frame: object) -> None:
-            self.found.append(frame)
 
+class _Api:
+    """Takes frames as the owners of zigpy's serial protocols do."""
+
+    def __init__(self) -> None:
+        self.found: list[object] = []
+
+    def frame_received(self, frame: object) -> None:
+        self.found.append(frame)
+
+
+def _collect(protocol_class: Callable[[_Api], Any]) -> Round:
     def run(chunks: list[bytes]) -> list[object]:
-        api = Api()
-        protocol = ZnpMtProtocol(api)
+        api = _Api()
+        protocol = protocol_class(api)
         for chunk in chunks:
             protocol.data_received(chunk)
         return api.found
 
-    return run, lambda frame: frame.serialize()[1:]  # without the length
+    return run
 
 
 def main() -> int:
