@@ -8,8 +8,8 @@ from simulator.backpacks.backpack_config import BackpackConfig
 from simulator.clock import BackpackClock, DriftingClock
 from simulator.dongles.choice import DEFAULT_DIALECT, make_dongle
 from simulator.dongles.interface import Dongle
-from simulator.lines.faulty_dongle import with_faults
 from simulator.lines.faults import FaultConfig
+from simulator.lines.faulty_dongle import with_faults
 from simulator.radios.coverage import CoverageConfig
 from simulator.radios.radio import RadioConfig
 from simulator.radios.sensing import SensingConfig
