@@ -187,6 +187,7 @@ class _SharedBus:
         self._jobs: queue.PriorityQueue[_Job] = queue.PriorityQueue()  # bounded: a unit has one write under way
         self._numbers = itertools.count(1)
         self._stopping = threading.Event()
+        self._last_words = "the receiving thread has died"
         self._beat_ns = time.monotonic_ns()
         self._receiver = threading.Thread(target=self._receive, name=f"{spec.bus_name} in", daemon=True)
         self._sender = threading.Thread(target=self._send, name=f"{spec.bus_name} out", daemon=True)
@@ -220,7 +221,7 @@ class _SharedBus:
     def trouble(self) -> str:
         """Return why nothing more will be received, or an empty string."""
         if not self.reason and not self._receiver.is_alive():
-            return "the receiving thread has died"
+            return self._last_words  # its own call, which says so too, may be on its way
         if not self.reason and time.monotonic_ns() - self._beat_ns > self.patience_s * NS_PER_S:
             self._stopping.set()
             self._end(f"the receiving thread hangs for {self.patience_s:g} s")
@@ -229,7 +230,6 @@ class _SharedBus:
         return self.reason
 
     def _receive(self) -> None:
-        reason = "the receiving thread has died"
         try:
             while not self._stopping.is_set():
                 self._beat_ns = time.monotonic_ns()
@@ -239,12 +239,12 @@ class _SharedBus:
                     if transport is not None and transport.put(frame):
                         self._call(transport.wake)
         except TransportClosedError as error:
-            reason = error.reason
+            self._last_words = error.reason
         except Exception as error:  # noqa: BLE001  # whatever python-can or a driver raises: the port is closed and opened anew
-            reason = f"the receiving thread has died of {type(error).__name__}: {error}"
+            self._last_words = f"the receiving thread has died of {type(error).__name__}: {error}"
         finally:
             self._stopping.set()
-            self._call(self._end, reason)
+            self._call(self._end, self._last_words)
             self._jobs.put(_STOP)
             self._sender.join(self.patience_s)
             self._bus.close()
