@@ -10,17 +10,14 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord
 from gateway.journal_file import JournalReader
@@ -29,64 +26,14 @@ from studies.link_tap import LinkTap
 from studies.live_feeder import NAME as FEEDER
 from studies.live_life import Life, fill_store
 from studies.live_watch import Watch, core_times, peak_memory, share
+from studies.parts import Parts
 from studies.system import PartFailedError, free_port
 
 _SWARM: Final = "gateway1"
 _STATUS, _MAP, _HEALTH = "/api/v1/map/status", "/api/v1/map", "/healthz"
 _PERIODS_S: Final = {_STATUS: 0.1, _MAP: 0.5, _HEALTH: 0.5}
-_POLL_S: Final = 0.02
-_START_S: Final = 600.0
 _SETTLE_S: Final = 5.0
-_STOP_S: Final = 30.0
 _PAGE: Final = 10_000
-
-
-@dataclass(slots=True, kw_only=True)
-class Parts:
-    """Processes that end with this context."""
-
-    out: Path
-    _processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        for name in ("mapper", "feeder", "gateway", "simulator"):
-            self.stop(name)
-
-    @property
-    def pids(self) -> dict[str, int]:
-        """The numbers of those that have been started and not stopped."""
-        return {name: process.pid for name, process in self._processes.items()}
-
-    def start(self, name: str, *arguments: object) -> None:
-        """Start ``python -m ...`` with its output in ``{name}.log``."""
-        with (self.out / f"{name}.log").open("ab") as log:
-            command = [sys.executable, "-m", *map(str, arguments)]
-            self._processes[name] = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
-
-    def stop(self, name: str, *, number: signal.Signals = signal.SIGTERM) -> None:
-        """Send a signal, and wait for the end."""
-        process = self._processes.pop(name, None)
-        if process is not None and process.poll() is None:
-            process.send_signal(number)
-            try:
-                process.wait(_STOP_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-    def wait(self, probe: Callable[[], object], *, what: str, timeout_s: float = _START_S) -> None:
-        """Wait until ``probe`` returns something true."""
-        deadline = time.monotonic() + timeout_s
-        while not probe():
-            for name, process in self._processes.items():
-                if process.poll() is not None:
-                    raise PartFailedError(f"the {name} ended with exit status {process.returncode}; see {self.out / name}.log")
-            if time.monotonic() > deadline:
-                raise PartFailedError(f"{what}: not after {timeout_s:g} s; the logs are in {self.out}")
-            time.sleep(_POLL_S)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -69,10 +69,15 @@ class Watch:
             self.computing_s.append(float(status["computing_s"]))
 
 
+def children_of(pid: int) -> list[int]:
+    """Return the numbers of a process's children; needs /proc."""
+    return [int(child) for thread in Path(f"/proc/{pid}/task").iterdir() for child in (thread / "children").read_text().split()]
+
+
 def peak_memory(pid: int) -> dict[str, int]:
     """Return the peaks of resident memory [bytes] of a process and its children, by number; needs /proc."""
     peaks: dict[str, int] = {}
-    for one in (pid, *_children(pid)):
+    for one in (pid, *children_of(pid)):
         lines = Path(f"/proc/{one}/status").read_text().splitlines()
         peaks[str(one)] = next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM"))
     return peaks
@@ -81,7 +86,7 @@ def peak_memory(pid: int) -> dict[str, int]:
 def core_times(pid: int) -> tuple[float, float]:
     """Return the time of cores [s] that a process has used, and that of its running children; needs /proc."""
     ticks = []
-    for one in (pid, *_children(pid)):
+    for one in (pid, *children_of(pid)):
         fields = Path(f"/proc/{one}/stat").read_text().rpartition(")")[2].split()
         ticks.append(int(fields[11]) + int(fields[12]))
     return ticks[0] / os.sysconf("SC_CLK_TCK"), sum(ticks[1:]) / os.sysconf("SC_CLK_TCK")
@@ -90,7 +95,3 @@ def core_times(pid: int) -> tuple[float, float]:
 def share(values: list[float], q: float) -> float:
     """Return the value below which a share ``q`` of all lies; nan where there are none."""
     return sorted(values)[min(len(values) - 1, int(q * len(values)))] if values else float("nan")
-
-
-def _children(pid: int) -> list[int]:
-    return [int(child) for thread in Path(f"/proc/{pid}/task").iterdir() for child in (thread / "children").read_text().split()]
