@@ -1,17 +1,16 @@
-"""Offset of every backpack's clock to the gateway's monotonic clock, with a bound of its error.
+"""Offset and rate of every backpack's clock against the gateway's monotonic clock, with a bound of the error.
 
 Each uplink message says when it was sent, so it bounds the offset from above (it cannot arrive before it is sent); each time
-sync request bounds it from below (it cannot arrive before it is asked). The tightest bounds of a sliding window hold, relaxed
-by the largest drift for their age: delay in queues loosens a bound but never falsifies one. Pure: time is an argument.
+sync request bounds it from below (it cannot arrive before it is asked). ``clock_fit`` makes a line of these, and this module chooses which
+of them it is made of: the tightest in each part of a sliding window. Pure: time is an argument.
 """
 
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId
-
-MAX_DRIFT_PPM = 100
-"""Largest difference in rate of the two clocks: a backpack's crystal (40 ppm for IEEE 802.15.4) and the host's, with margin."""
+from gateway.clock_fit import ClockFit, Point, fit
 
 ASSUMED_DELAY_NS = Nanoseconds(2 * NS_PER_S)
 """While no time sync has bounded it, the fastest message is taken to have needed at most this: the link's longest retransmission time
@@ -26,13 +25,18 @@ SETTLED_ERROR_NS = 100 * NS_PER_MS
 """A clock known better than this is good enough to date what its backpack reports."""
 
 _TICK_NS = NS_PER_MS
+_N_PARTS = 16
+"""Of the window; the tightest bound of each part is kept, so a fit looks at 16 times 16 pairs of points at most."""
+
+_WORTH_NS = NS_PER_MS // 10
+"""A message that tightens a bound by less than this is no reason to fit anew."""
+
 _MAX_BOOTS = 2
 _TOKEN_MODULUS = 1 << 16
 _EXCHANGE_LIFETIME_NS = 30 * NS_PER_S
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClockReading:
+class ClockReading(NamedTuple):
     """An instant on the gateway's monotonic clock, and how wrong it may be."""
 
     t_ns: Nanoseconds
@@ -45,85 +49,128 @@ class NodeClock:
 
     Notes
     -----
-    ``_upper`` holds ``(t, offset - drift * t)`` with growing second members, the usual queue for a sliding minimum; ``_lower``
-    likewise ``(t, offset + drift * t)`` with falling ones. Where the bounds contradict each other a clock has jumped (a
-    suspended host), and only the newest message is believed.
+    Where the bounds contradict each other a clock has jumped (a suspended host), and only the newest message is believed.
     """
 
     window_ns: int
-    _upper: deque[tuple[int, int]] = field(default_factory=deque)
-    _lower: deque[tuple[int, int]] = field(default_factory=deque)
-    _latest_ns: int = 0
-    _first_ns: int | None = None
-    _known_bounds: tuple[int, int] | None = None
+    first_ns: int = 0
+    """When its first message came."""
     n_jumps: int = 0
-
-    @property
-    def first_ns(self) -> int:
-        """When its first message came."""
-        return self._first_ns or 0
+    _upper: dict[int, Point] = field(default_factory=dict)
+    """Of each part of the window, by its number, the tightest bound from above: when it was sent, and the offset; ``_lower`` likewise."""
+    _lower: dict[int, Point] = field(default_factory=dict)
+    _newest: Point = (0, 0)
+    """Sending instant and offset of the message that was taken last."""
+    _latest_ns: int = 0
+    """Largest sending instant."""
+    _fit: ClockFit | None = None
+    _is_stale: bool = False
+    # The fit once more, in the form in which it is read.
+    _at_ns: int = 0
+    _offset_ns: int = 0
+    _error_ns: int = 0
+    _rate: float = 0.0
+    _rate_error: float = 0.0
+    _upper_ns: int = 0
+    _lower_ns: int = 0
 
     @property
     def is_settled(self) -> bool:
         """Whether a time sync has bounded it well: before that, a message that waited in a queue may pass for a quick one."""
         if not self._lower:
             return False
-        upper_ns, lower_ns = self._bounds()
-        return upper_ns - lower_ns <= SETTLED_ERROR_NS
+        if self._is_stale:
+            self._refit()
+        return self._upper_ns - self._lower_ns <= SETTLED_ERROR_NS
+
+    @property
+    def fitted(self) -> ClockFit | None:
+        """What is known of offset and rate; None before the first message."""
+        if self._is_stale:
+            self._refit()
+        return self._fit
 
     def observe(self, *, sent_ms: Milliseconds, received_ns: int) -> None:
         """Take the sending and receiving instants of any uplink message."""
-        self._known_bounds = None
-        if self._first_ns is None:
-            self._first_ns = received_ns
-        value = received_ns - sent_ms * NS_PER_MS - _drift_ns(received_ns)
-        while self._upper and self._upper[-1][1] >= value:
-            self._upper.pop()
-        self._upper.append((received_ns, value))
-        self._latest_ns = max(self._latest_ns, received_ns)
-        self._drop_old(self._upper)
-        self._drop_old(self._lower)
-        self._check(sent_ms=sent_ms, received_ns=received_ns)
+        sent_ns = sent_ms * NS_PER_MS
+        offset_ns = received_ns - sent_ns
+        self._newest = (sent_ns, offset_ns)
+        if self._fit is None:
+            self.first_ns = received_ns
+            self._restart()
+            return
+        self._latest_ns = max(self._latest_ns, sent_ns)
+        age_ns = sent_ns - self._at_ns
+        drift_ns, slack_ns = age_ns * self._rate, abs(age_ns) * self._rate_error
+        part = sent_ns * _N_PARTS // self.window_ns
+        known = self._upper.get(part)
+        if known is None or offset_ns - known[1] < (sent_ns - known[0]) * self._rate:
+            self._upper[part] = (sent_ns, offset_ns)
+            if known is None:
+                _drop_old(self._upper, newest=self._latest_ns * _N_PARTS // self.window_ns)
+        if offset_ns < self._lower_ns + drift_ns - slack_ns:
+            self._refit()
+        elif offset_ns < self._upper_ns + drift_ns + slack_ns - _WORTH_NS:
+            self._is_stale = True
 
     def bound_below(self, *, requested_ns: int, arrived_ms: Milliseconds) -> None:
         """Take the instants of a time sync request: when it was handed to the radio, and the tick at which it came."""
-        offset_ns = requested_ns - arrived_ms * NS_PER_MS - _TICK_NS  # the tick is rounded down
-        value = offset_ns + _drift_ns(requested_ns)
-        while self._lower and self._lower[-1][1] <= value:
-            self._lower.pop()
-        self._lower.append((requested_ns, value))
-        self._known_bounds = None
+        arrived_ns = arrived_ms * NS_PER_MS + _TICK_NS  # the tick is rounded down
+        offset_ns = requested_ns - arrived_ns
+        part = arrived_ns * _N_PARTS // self.window_ns
+        known = self._lower.get(part)
+        if known is None or offset_ns - known[1] > (arrived_ns - known[0]) * self._rate:
+            self._lower[part] = (arrived_ns, offset_ns)
+            _drop_old(self._lower, newest=self._latest_ns * _N_PARTS // self.window_ns)
+        if self._fit is not None:
+            self._refit(newest_lower=(arrived_ns, offset_ns))
 
     def read(self, ms: Milliseconds) -> ClockReading:
         """Return when the backpack's clock showed ``ms``; ``observe`` must have been called before."""
-        if self._known_bounds is None:
-            self._known_bounds = self._bounds()
-        upper_ns, lower_ns = self._known_bounds
-        offset_ns = max((upper_ns + lower_ns) // 2, upper_ns - TYPICAL_DELAY_NS)
-        t_ns = ms * NS_PER_MS + offset_ns
-        age_ns = abs(self._latest_ns - t_ns)
-        error_ns = max(upper_ns - offset_ns, offset_ns - lower_ns) + _drift_ns(age_ns) + _TICK_NS
-        return ClockReading(t_ns=Nanoseconds(t_ns), error_ns=Nanoseconds(error_ns))
+        t_ns, _, error_ns = self.read_span(ms, ms)
+        return ClockReading(Nanoseconds(t_ns), Nanoseconds(error_ns))
 
-    def _bounds(self) -> tuple[int, int]:
-        relaxed_ns = _drift_ns(self._latest_ns)
-        upper_ns = self._upper[0][1] + relaxed_ns
-        if not self._lower:
-            return upper_ns, upper_ns - ASSUMED_DELAY_NS
-        return upper_ns, self._lower[0][1] - relaxed_ns
+    def read_span(self, start_ms: int, end_ms: int) -> tuple[int, int, int]:
+        """Return when the backpack's clock showed two instants, and how wrong either may be [ns], as plain numbers."""
+        if self._is_stale:
+            self._refit()
+        start_ns, end_ns = start_ms * NS_PER_MS, end_ms * NS_PER_MS
+        before, after = start_ns - self._at_ns, end_ns - self._at_ns
+        rate, furthest = self._rate, max(abs(before), abs(after))
+        return (
+            start_ns + self._offset_ns + int(before * rate),
+            end_ns + self._offset_ns + int(after * rate),
+            self._error_ns + int(furthest * self._rate_error),
+        )
 
-    def _check(self, *, sent_ms: Milliseconds, received_ns: int) -> None:
-        upper_ns, lower_ns = self._bounds()
-        if lower_ns > upper_ns:
+    def _refit(self, *, newest_lower: Point | None = None) -> None:
+        found = fit(list(self._upper.values()), list(self._lower.values()), at_ns=self._latest_ns, assumed_delay_ns=ASSUMED_DELAY_NS)
+        if found is None:
             self.n_jumps += 1
-            self._lower.clear()
-            self._upper.clear()
-            self._upper.append((received_ns, received_ns - sent_ms * NS_PER_MS - _drift_ns(received_ns)))
-            self._latest_ns = received_ns
+            self._restart(newest_lower)
+        else:
+            self._use(found)
 
-    def _drop_old(self, bounds: deque[tuple[int, int]]) -> None:
-        while len(bounds) > 1 and bounds[0][0] < self._latest_ns - self.window_ns:
-            bounds.popleft()
+    def _restart(self, newest_lower: Point | None = None) -> None:
+        """Believe only what came last."""
+        sent_ns, _ = self._newest
+        self._latest_ns = sent_ns
+        self._upper = {sent_ns * _N_PARTS // self.window_ns: self._newest}
+        self._lower = {} if newest_lower is None else {newest_lower[0] * _N_PARTS // self.window_ns: newest_lower}
+        found = fit([self._newest], list(self._lower.values()), at_ns=sent_ns, assumed_delay_ns=ASSUMED_DELAY_NS)
+        if found is None:  # the two of them contradict each other: the message is the newer one
+            self._lower = {}
+            found = fit([self._newest], (), at_ns=sent_ns, assumed_delay_ns=ASSUMED_DELAY_NS)
+        assert found is not None, "one point contradicts nothing"
+        self._use(found)
+
+    def _use(self, found: ClockFit) -> None:
+        self._fit, self._is_stale = found, False
+        self._at_ns, self._rate, self._rate_error = found.at_ns, found.rate, found.rate_error
+        self._upper_ns, self._lower_ns = found.upper_ns, found.lower_ns
+        offset_ns = max((found.upper_ns + found.lower_ns) // 2, found.upper_ns - TYPICAL_DELAY_NS)
+        self._offset_ns = offset_ns
+        self._error_ns = max(found.upper_ns - offset_ns, offset_ns - found.lower_ns) + _TICK_NS
 
 
 @dataclass(slots=True, kw_only=True)
@@ -137,7 +184,9 @@ class ClockBook:
 
     def observe(self, *, node: NodeId, boot: BootId, sent_ms: Milliseconds, received_ns: int) -> NodeClock:
         """Take the instants of an uplink message and return the clock it belongs to."""
-        boots = self._clocks.setdefault(node, OrderedDict())
+        boots = self._clocks.get(node)
+        if boots is None:
+            boots = self._clocks[node] = OrderedDict()
         clock = boots.get(boot)
         if clock is None:
             clock = boots[boot] = NodeClock(window_ns=self.window_ns)
@@ -171,5 +220,10 @@ class ClockBook:
         return True
 
 
-def _drift_ns(duration_ns: int) -> int:
-    return duration_ns * MAX_DRIFT_PPM // 1_000_000
+def _drop_old(bounds: dict[int, Point], *, newest: int) -> None:
+    """Keep the parts of the window up to ``newest``, and the last one in any case; of those ahead of it no more than there is room for."""
+    last = max(bounds)
+    for part in [part for part in bounds if part <= newest - _N_PARTS and part != last]:
+        del bounds[part]
+    if len(bounds) > 2 * _N_PARTS:
+        del bounds[last]

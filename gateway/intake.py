@@ -33,7 +33,7 @@ from firmware_protocol.messages import (
     Uplink,
     UplinkHeader,
 )
-from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, BootId, Milliseconds, NodeId
+from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_MS, NS_PER_S, BootId, Nanoseconds, NodeId
 from gateway.clocks import ClockBook, NodeClock
 from gateway.encounters import EncounterMerger, SideReport, margin_of
 from gateway.health import Health
@@ -55,7 +55,7 @@ _CLOCK_PATIENCE_NS = 5 * NS_PER_S
 """A backpack whose clock could not be settled for so long (it hears nothing) is believed as it is, with a wide error."""
 
 _RECALL_SLACK_NS = 10 * NS_PER_S
-"""Encounters this far around a late report are brought back: more than the margin of any record."""
+"""Encounters this far around a late report, beside twice its margin, are brought back: more than the error of any clock."""
 
 
 @dataclass(slots=True)
@@ -323,32 +323,39 @@ class Intake:
         return None if status is None else lambda listeners: listeners.on_status(status)
 
     def _merge(self, entry: EncounterEntry, *, header: UplinkHeader, node: Node, clock: NodeClock) -> list[EncounterRecord]:
-        end_ms = Milliseconds(entry.start_ms + entry.duration_ms)
+        end_ms = entry.start_ms + entry.duration_ms
         if entry.peer in {header.node, BROADCAST_NODE} or end_ms > header.sent_ms + _MAX_AHEAD_MS:
             self._health.count("encounter.impossible")
             return []
-        start, end = clock.read(entry.start_ms), clock.read(end_ms)
-        error_ns = max(start.error_ns, end.error_ns)
+        t_start_ns, t_end_ns, error_ns = clock.read_span(entry.start_ms, end_ms)
+        period_ms = self._period_ms(node, self._nodes.find(entry.peer))
+        margin_ns = margin_of(beacon_period_ms=period_ms, error_ns=error_ns, n_bridged=self._merger.loss.now.n_bridged)
         report = SideReport(
             node=header.node,
             peer=entry.peer,
-            t_start_ns=start.t_ns,
-            t_end_ns=end.t_ns,
-            error_ns=error_ns,
+            t_start_ns=Nanoseconds(t_start_ns),
+            t_end_ns=Nanoseconds(t_end_ns),
+            error_ns=Nanoseconds(error_ns),
             rssi_dbm=entry.rssi_dbm,
             is_ongoing=entry.is_ongoing,
+            margin_ns=margin_ns,
+            period_ns=period_ms * NS_PER_MS,
             path_mm=entry.path_mm,
-            margin_ns=margin_of(beacon_period_ms=node.beacon_period_ms, error_ns=error_ns),
         )
-        if report.t_start_ns - report.margin_ns <= self._horizon_ns:
+        if t_start_ns - margin_ns <= self._horizon_ns:
             self._recall(report)
         self._health.count("encounter.reports")
         return self._merger.merge(report)
 
+    @staticmethod
+    def _period_ms(*nodes: Node | None) -> int:
+        """Return the pause between the beacons of a pair [ms], the longer one; 0: neither sends any, or has said so."""
+        return max((node.beacon_period_ms for node in nodes if node is not None), default=0)
+
     def _recall(self, report: SideReport) -> None:
         """Bring back from the journal what the merger has forgotten and this late report may belong to."""
         node_a, node_b = sorted((report.node, report.peer))
-        slack_ns = report.margin_ns + _RECALL_SLACK_NS
+        slack_ns = 2 * report.margin_ns + _RECALL_SLACK_NS
         from_wall_ns, to_wall_ns = self._issuer.to_recorded_wall_ns(report.t_start_ns - slack_ns, report.t_end_ns + slack_ns)
         try:
             records = self._reader.read_pair(node_a=node_a, node_b=node_b, from_wall_ns=from_wall_ns, to_wall_ns=to_wall_ns)
@@ -357,12 +364,15 @@ class Intake:
             self._health.count("encounter.unread_journal")
             return
         if records:
-            self._merger.restore(records, margin=self._margin_of_record)
+            self._merger.restore(records, margin=self._margin_of_record, period=lambda record: self._period_ms_of(record) * NS_PER_MS)
+
+    def _period_ms_of(self, record: EncounterRecord) -> int:
+        return self._period_ms(self._nodes.find(record.node_a), self._nodes.find(record.node_b))
 
     def _margin_of_record(self, record: EncounterRecord) -> int:
-        nodes = (self._nodes.find(record.node_a), self._nodes.find(record.node_b))
-        period_ms = max((node.beacon_period_ms for node in nodes if node is not None), default=0)
-        return margin_of(beacon_period_ms=period_ms, error_ns=record.error_ns)
+        error_ns = max((side.error_ns or record.error_ns for side in record.sides), default=record.error_ns)
+        n_bridged = self._merger.loss.now.n_bridged
+        return margin_of(beacon_period_ms=self._period_ms_of(record), error_ns=error_ns, n_bridged=n_bridged)
 
     def _mode_report(self, uplink: Status | StimulateReply, *, header: UplinkHeader, clock: NodeClock) -> ModeReport | None:
         is_reply = isinstance(uplink, StimulateReply)

@@ -76,6 +76,8 @@ class EncounterSide(Struct, frozen=True, kw_only=True):
     """127: not known."""
     path_mm: int | None = None
     """Path that its IMU measured since the start of its encounter before [mm], at most 65,534; None: not known."""
+    error_ns: Nanoseconds | None = None
+    """Neither instant is wrong by more than this, by the fit of its clock; None: not known, but not more than the record's."""
 
 
 class RecordHead(Struct, frozen=True, kw_only=True):
@@ -108,7 +110,7 @@ class EncounterRecord(RecordHead, frozen=True, kw_only=True, tag="encounter"):
     t_start_ns: Nanoseconds
     t_end_ns: Nanoseconds
     error_ns: Nanoseconds
-    """No bound of the interval is wrong by more than this, by the fit of the backpacks' clocks."""
+    """Neither end of the interval is wrong by more than this: by the fit of the backpacks' clocks, and by what no beacon tells."""
     is_reciprocal: bool
     """Both sides reported it."""
     is_ongoing: bool = False

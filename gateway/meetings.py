@@ -1,0 +1,254 @@
+"""What is known of one encounter: the reports of both sides put together, and the interval that they make likely. Pure.
+
+A side's reports are joined to the first start and the last end that it told; that is what the record keeps in ``sides``. Where encounters
+are sensed by beacons, the record's own interval is wider, for the two were near each other before the first beacon and after the last
+(``unheard``).
+"""
+
+from dataclasses import dataclass
+
+from firmware_protocol.contract.records import EncounterRecord, EncounterSide
+from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
+from gateway.issuer import RecordIssuer
+from gateway.radio import strongest
+from gateway.unheard import Guesses
+
+_Reach = tuple[int, bool]
+"""How far a report goes, and whether it was final."""
+
+
+@dataclass(slots=True, kw_only=True)
+class SideReport:
+    """What one biobot says of a meeting with another, on the gateway's clock. Not changed by who takes it.
+
+    Parameters
+    ----------
+    error_ns
+        How wrong the fit of the backpack's clock may be [ns].
+    margin_ns
+        Half the gap to another report of the pair that is bridged [ns].
+    period_ns
+        Between the other's beacons [ns]; 0: sensed continuously.
+    path_mm
+        Path since the start of the biobot's encounter before [mm].
+    """
+
+    node: NodeId
+    peer: NodeId
+    t_start_ns: Nanoseconds
+    t_end_ns: Nanoseconds
+    error_ns: Nanoseconds
+    rssi_dbm: RssiDbm
+    is_ongoing: bool
+    margin_ns: int
+    period_ns: int = 0
+    path_mm: int | None = None
+
+
+@dataclass(slots=True, kw_only=True)
+class Meeting:
+    """An encounter: its identity, its last revision, and what is known of it; the sum of its reports in any order.
+
+    Parameters
+    ----------
+    cover_start_ns, cover_end_ns
+        Of all reports with their margins: another one of the pair that overlaps this belongs to the encounter.
+    side_a, side_b
+        Of the lower and the higher node number.
+    is_final_a, is_final_b
+        Whether the report of the side that reaches furthest was final.
+    """
+
+    boot: BootId
+    sequence: int
+    revision: int
+    cover_start_ns: int
+    cover_end_ns: int
+    period_ns: int
+    side_a: EncounterSide | None = None
+    side_b: EncounterSide | None = None
+    is_final_a: bool = False
+    is_final_b: bool = False
+
+    @property
+    def identity(self) -> tuple[BootId, int]:
+        """Return what orders encounters by when they were first told of."""
+        return self.boot, self.sequence
+
+    def take(self, report: SideReport) -> bool:
+        """Add a report; return whether it says anything new."""
+        is_a = report.node < report.peer
+        old, was_final = (self.side_a, self.is_final_a) if is_a else (self.side_b, self.is_final_b)
+        side, is_final = side_of(report), not report.is_ongoing
+        if old is not None:
+            side, is_final = _join(old, side), _further((old.t_end_ns, was_final), (side.t_end_ns, is_final))
+        if is_a:
+            self.side_a, self.is_final_a = side, is_final
+        else:
+            self.side_b, self.is_final_b = side, is_final
+        cover_start_ns, cover_end_ns = report.t_start_ns - report.margin_ns, report.t_end_ns + report.margin_ns
+        self.cover_start_ns = min(self.cover_start_ns, cover_start_ns)
+        self.cover_end_ns = max(self.cover_end_ns, cover_end_ns)
+        self.period_ns = max(self.period_ns, report.period_ns)
+        return side != old or is_final is not was_final
+
+    def absorb(self, other: "Meeting") -> None:
+        """Add all that is known of another encounter of the pair, which turned out to be the same."""
+        self.side_a, self.is_final_a = _join_known(self.side_a, other.side_a, is_final=self.is_final_a, is_other_final=other.is_final_a)
+        self.side_b, self.is_final_b = _join_known(self.side_b, other.side_b, is_final=self.is_final_b, is_other_final=other.is_final_b)
+        self.cover_start_ns = min(self.cover_start_ns, other.cover_start_ns)
+        self.cover_end_ns = max(self.cover_end_ns, other.cover_end_ns)
+        self.period_ns = max(self.period_ns, other.period_ns)
+
+    def gap(self) -> float:
+        """Return how far apart the starts of both sides are [beacon periods]; there must be both, and beacons."""
+        assert self.side_a is not None
+        assert self.side_b is not None
+        return abs(self.side_a.t_start_ns - self.side_b.t_start_ns) / self.period_ns
+
+    def record(self, pair: tuple[NodeId, NodeId], *, issuer: RecordIssuer, guesses: Guesses, is_void: bool = False) -> EncounterRecord:
+        """Make the record of it, with a provisional offset."""
+        start_ns, end_ns, error_ns, is_ongoing = self._interval(guesses)
+        a, b = self.side_a, self.side_b
+        return EncounterRecord(
+            gateway=issuer.gateway,
+            journal=issuer.journal,
+            offset=1,
+            boot=self.boot,
+            sequence=self.sequence,
+            revision=self.revision,
+            wall_anchor_ns=issuer.wall_anchor_ns,
+            node_a=pair[0],
+            node_b=pair[1],
+            t_start_ns=Nanoseconds(start_ns),
+            t_end_ns=Nanoseconds(end_ns),
+            error_ns=Nanoseconds(error_ns),
+            is_reciprocal=a is not None and b is not None,
+            is_ongoing=is_ongoing,
+            is_void=is_void,
+            sides=(a, b) if a is not None and b is not None else (a,) if a is not None else () if b is None else (b,),
+        )
+
+    def _interval(self, guesses: Guesses) -> tuple[int, int, int, bool]:
+        """Return start, end and bound of their error [ns], and whether the encounter goes on."""
+        a, b, period_ns = self.side_a, self.side_b, self.period_ns
+        if a is None or b is None:
+            one = a or b
+            assert one is not None, "a meeting is made of a report"
+            is_ongoing = not (self.is_final_b if a is None else self.is_final_a)
+            if not period_ns:
+                return one.t_start_ns, one.t_end_ns, one.error_ns or 0, is_ongoing
+            earlier, half = guesses.of_one
+            shift_ns = int(earlier * period_ns)
+            error_ns = (one.error_ns or 0) + int(half * period_ns)
+            return one.t_start_ns - shift_ns, one.t_end_ns if is_ongoing else one.t_end_ns + shift_ns, error_ns, is_ongoing
+        start_ns: int = min(a.t_start_ns, b.t_start_ns)
+        end_ns: int = max(a.t_end_ns, b.t_end_ns)
+        error_ns = max(a.error_ns or 0, b.error_ns or 0)
+        apart_ns = a.t_end_ns - b.t_end_ns
+        is_ongoing = not ((self.is_final_a and apart_ns >= 0) or (self.is_final_b and apart_ns <= 0))
+        if not period_ns:
+            return start_ns, end_ns, error_ns, is_ongoing
+        earlier, half = guesses.between(self.gap())
+        start_ns -= int(earlier * period_ns)
+        if not is_ongoing:
+            both_final = self.is_final_a and self.is_final_b
+            later, half_end = guesses.between(abs(apart_ns) / period_ns) if both_final else guesses.of_one
+            end_ns += int(later * period_ns)
+            half = max(half, half_end)
+        return start_ns, end_ns, error_ns + int(half * period_ns), is_ongoing
+
+
+def meeting_of(report: SideReport, *, boot: BootId, sequence: int) -> Meeting:
+    """Begin an encounter with a report."""
+    side, is_a = side_of(report), report.node < report.peer
+    return Meeting(
+        boot=boot,
+        sequence=sequence,
+        revision=0,
+        cover_start_ns=report.t_start_ns - report.margin_ns,
+        cover_end_ns=report.t_end_ns + report.margin_ns,
+        period_ns=report.period_ns,
+        side_a=side if is_a else None,
+        side_b=None if is_a else side,
+        is_final_a=is_a and not report.is_ongoing,
+        is_final_b=not is_a and not report.is_ongoing,
+    )
+
+
+def meeting_of_record(record: EncounterRecord, *, issuer: RecordIssuer, margin_ns: int, period_ns: int) -> Meeting:
+    """Know an encounter again from its record, which another start of the gateway may have written."""
+
+    def here(t_ns: int) -> Nanoseconds:
+        return issuer.to_own_monotonic_ns(t_ns, anchor_ns=record.wall_anchor_ns)
+
+    sides = {
+        side.node: EncounterSide(
+            node=side.node,
+            t_start_ns=here(side.t_start_ns),
+            t_end_ns=here(side.t_end_ns),
+            rssi_dbm=side.rssi_dbm,
+            path_mm=side.path_mm,
+            error_ns=record.error_ns if side.error_ns is None else side.error_ns,
+        )
+        for side in record.sides
+    }
+    start_ns = min((side.t_start_ns for side in sides.values()), default=here(record.t_start_ns))
+    end_ns = max((side.t_end_ns for side in sides.values()), default=here(record.t_end_ns))
+    is_final = not record.is_ongoing
+    return Meeting(
+        boot=record.boot,
+        sequence=record.sequence,
+        revision=record.revision,
+        cover_start_ns=start_ns - margin_ns,
+        cover_end_ns=end_ns + margin_ns,
+        period_ns=period_ns,
+        side_a=sides.get(record.node_a),
+        side_b=sides.get(record.node_b),
+        is_final_a=is_final,
+        is_final_b=is_final,
+    )
+
+
+def side_of(report: SideReport) -> EncounterSide:
+    """Return what is kept of a report."""
+    return EncounterSide(
+        node=report.node,
+        t_start_ns=report.t_start_ns,
+        t_end_ns=report.t_end_ns,
+        rssi_dbm=report.rssi_dbm,
+        path_mm=report.path_mm,
+        error_ns=report.error_ns,
+    )
+
+
+def _further(one: _Reach, other: _Reach) -> bool:
+    """Tell whether the report that reaches furthest is final; of two that reach as far, either."""
+    if one[0] == other[0]:
+        return one[1] or other[1]
+    return one[1] if one[0] > other[0] else other[1]
+
+
+def _join_known(
+    one: EncounterSide | None, other: EncounterSide | None, *, is_final: bool, is_other_final: bool
+) -> tuple[EncounterSide | None, bool]:
+    if one is None or other is None:
+        return (other, is_other_final) if one is None else (one, is_final)
+    return _join(one, other), _further((one.t_end_ns, is_final), (other.t_end_ns, is_other_final))
+
+
+def _join(one: EncounterSide, other: EncounterSide) -> EncounterSide:
+    first = one if _path_order(one) <= _path_order(other) else other
+    return EncounterSide(
+        node=one.node,
+        t_start_ns=first.t_start_ns,
+        t_end_ns=max(one.t_end_ns, other.t_end_ns),
+        rssi_dbm=strongest(one.rssi_dbm, other.rssi_dbm),
+        path_mm=first.path_mm,
+        error_ns=max(one.error_ns or Nanoseconds(0), other.error_ns or Nanoseconds(0)),
+    )
+
+
+def _path_order(side: EncounterSide) -> tuple[int, bool, int]:
+    """Order sides by which of them has the path to the meeting: the one that began first; of two, one that knows it, then the shorter."""
+    return (side.t_start_ns, side.path_mm is None, side.path_mm or 0)
