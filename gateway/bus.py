@@ -15,21 +15,22 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
+import msgspec
 import zenoh
 import zenoh.ext
 
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
 from firmware_protocol.contract.records import (
     CommandStage,
+    EncodedBatch,
     EncounterRecord,
     GatewayEvent,
     GatewayStatus,
     HistoryRequest,
-    JournalRecord,
+    MissionRecord,
     ModeRecord,
     NeighbourReport,
     NodeStatus,
-    RecordBatch,
     StimulationAction,
     StimulationRequest,
     Struct,
@@ -40,7 +41,7 @@ from firmware_protocol.errors import KeyExpressionError, RecordError
 from gateway.config import GatewayConfig
 from gateway.errors import BusError, CommandError
 from gateway.health import Health
-from gateway.journal_file import JournalReader
+from gateway.journal_file import Committed, JournalReader
 from gateway.log import EventLog
 
 _log = EventLog(__name__)
@@ -48,8 +49,13 @@ _log = EventLog(__name__)
 _PUT_QUEUE = 4096
 """Publications that may wait for the put thread."""
 
-_CACHE = 2048
-"""Batches that late subscribers and those with a gap get without asking the history."""
+_CACHE = 512
+"""Batches that late subscribers and those with a gap get without asking the history; at most 85 MB where each is as large as may be."""
+
+_MAX_BATCH = 500
+"""Records of one publication, or of one reply of the history: 165 kB."""
+
+_STREAMS: dict[type, Stream] = {EncounterRecord: Stream.ENCOUNTERS, ModeRecord: Stream.MODES, MissionRecord: Stream.MISSION}
 
 _HEARTBEAT_S = 0.5
 _MAX_COMMANDS = 256
@@ -57,7 +63,6 @@ _MAX_STOPS = 4096
 """Commands that may wait when the next one is a STOP: it passes where any other is refused."""
 
 _MAX_HISTORY_QUERIES = 16
-_HISTORY_PAGE = 500
 _DISCOVERY_S = 3.0
 _NAME_CHECK_S = 1.5
 _STATUS_POLL_S = 0.02
@@ -164,15 +169,22 @@ class Bus:
         self._declared.append(self._session.declare_queryable(history_key, take_history))
         self._declared.append(self._session.liveliness().declare_token(self._key(Stream.ALIVE)))
 
-    def publish_records(self, records: Sequence[JournalRecord], head_offset: int) -> None:
-        """Publish records that are on disk, one batch for each kind."""
-        by_stream: dict[Stream, list[JournalRecord]] = {}
-        for record in records:
-            by_stream.setdefault(_stream_of(record), []).append(record)
+    def publish_records(self, committed: Committed) -> None:
+        """Publish records that are on disk, as they lie there: batches of one kind each."""
+        by_stream: dict[Stream, list[msgspec.Raw]] = {}
+        for record, body in zip(committed.records, committed.bodies, strict=True):
+            by_stream.setdefault(_STREAMS[type(record)], []).append(msgspec.Raw(body))
         for stream, members in by_stream.items():
             publisher = self._publishers[stream]
-            batch = RecordBatch(gateway=self._gateway, journal=members[0].journal, head_offset=head_offset, records=tuple(members))
-            self._queue_put(lambda publisher=publisher, batch=batch: publisher.put(encode_record(batch)))  # type: ignore[misc]
+            for at in range(0, len(members), _MAX_BATCH):
+                batch = EncodedBatch(
+                    gateway=self._gateway,
+                    journal=committed.records[0].journal,
+                    head_offset=committed.head_offset,
+                    oldest_offset=committed.oldest_offset,
+                    records=tuple(members[at : at + _MAX_BATCH]),
+                )
+                self._queue_put(lambda publisher=publisher, batch=batch: publisher.put(encode_record(batch)))  # type: ignore[misc]
 
     def publish_gateway_status(self, status: GatewayStatus) -> None:
         """Publish the gateway's own state."""
@@ -278,16 +290,24 @@ class Bus:
         finally:
             self._n_history.release()
 
-    def _history_batches(self, request: HistoryRequest, *, open_reader: Callable[[], JournalReader], journal: str) -> Iterator[RecordBatch]:
+    def _history_batches(
+        self, request: HistoryRequest, *, open_reader: Callable[[], JournalReader], journal: str
+    ) -> Iterator[EncodedBatch]:
         """Yield at least one batch: an empty one tells how far the journal goes."""
         reader = open_reader()
         try:
             at, rest = request.from_offset, request.limit
             while rest > 0:
-                records, head_offset = reader.read_records(from_offset=at, limit=min(rest, _HISTORY_PAGE))
-                yield RecordBatch(gateway=self._gateway, journal=journal, head_offset=head_offset, records=tuple(records))
-                at, rest = at + len(records), rest - len(records)
-                if not records or at > head_offset:
+                page = reader.read_page(from_offset=at, limit=min(rest, _MAX_BATCH))
+                yield EncodedBatch(
+                    gateway=self._gateway,
+                    journal=journal,
+                    head_offset=page.head_offset,
+                    oldest_offset=page.oldest_offset,
+                    records=tuple(map(msgspec.Raw, page.bodies)),
+                )
+                at, rest = page.first_offset + len(page.bodies), rest - len(page.bodies)
+                if not page.bodies or at > page.head_offset:
                     return
         finally:
             reader.close()
@@ -391,9 +411,3 @@ def _is_taken(session: zenoh.Session, key: str) -> bool:
 
 def _payload_of(query: zenoh.Query) -> bytes:
     return b"" if query.payload is None else query.payload.to_bytes()
-
-
-def _stream_of(record: JournalRecord) -> Stream:
-    if isinstance(record, EncounterRecord):
-        return Stream.ENCOUNTERS
-    return Stream.MODES if isinstance(record, ModeRecord) else Stream.MISSION

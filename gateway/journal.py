@@ -6,8 +6,8 @@ is published or acknowledged in between, and nothing is lost. A write that can n
 """
 
 import asyncio
-import itertools
 import sqlite3
+import struct
 import time
 from collections import deque
 from collections.abc import Callable
@@ -16,27 +16,35 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
-import msgspec
-
-from firmware_protocol.contract.records import JournalRecord
 from firmware_protocol.units import BootId
 from gateway.errors import JournalFullError
 from gateway.health import Health
-from gateway.journal_file import JournalFile, JournalIdentity, JournalReader, JournalWrite, open_journal_file
+from gateway.journal_file import (
+    Committed,
+    JournalFile,
+    JournalIdentity,
+    JournalReader,
+    JournalWrite,
+    SegmentBuilder,
+    open_journal_file,
+)
 from gateway.log import EventLog
 
 _log = EventLog(__name__)
 
-MAX_GROUP = 256
-"""Writes committed together."""
+MAX_GROUP = 1024
+"""Writes committed together; the loop tells as many at once when they are on disk."""
+
+MAX_GROUP_SIZE = 4 << 20
+"""Octets of records and reports, after which a group takes no further write."""
 
 MAX_WAITING = 65_536
 """Writes that may wait for the disk. A native dongle stalls at 16 unconfirmed payloads; XBee and Z-Stack take no confirmation and never
 stall, but a backpack has at most 33 messages outstanding, and a repetition is no write. So it takes a flood of commands, or two thousand
 biobots, to come near."""
 
-_UNSTORABLE = (OverflowError, TypeError, ValueError, sqlite3.IntegrityError, sqlite3.DataError)
-"""What a write raises that can never be stored. Every other error of SQLite is the disk's, and is waited out."""
+_UNSTORABLE = (OverflowError, TypeError, ValueError, struct.error)
+"""What adding a write to a group raises where it can never be stored. What SQLite raises is the disk's, and is waited out."""
 
 _MACHINE_BOOT = Path("/proc/sys/kernel/random/boot_id")
 _FIRST_RETRY_S = 0.1
@@ -45,10 +53,15 @@ _MAX_RETRY_S = 2.0
 
 @dataclass(slots=True, kw_only=True)
 class _Group:
-    """Writes that are committed together."""
+    """Writes that are committed together, and the futures of those who wait for them."""
 
     done: asyncio.Future[None]
-    writes: list[tuple[JournalWrite, asyncio.Future[None]]] = field(default_factory=list)
+    segment: SegmentBuilder
+    waiting: list[asyncio.Future[None]] = field(default_factory=list)
+
+    @property
+    def is_closed(self) -> bool:
+        return len(self.waiting) >= MAX_GROUP or self.segment.size >= MAX_GROUP_SIZE
 
 
 class Journal:
@@ -62,9 +75,11 @@ class Journal:
         self._n_waiting = 0
         self._wake = asyncio.Event()
         self._head_offset = file.identity.head_offset
+        self._next_offset = self._head_offset + 1
+        self._oldest_offset = file.oldest_offset()
         self._last_group: asyncio.Future[None] | None = None
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="journal")
-        self._listeners: list[Callable[[tuple[JournalRecord, ...], int], None]] = []
+        self._listeners: list[Callable[[Committed], None]] = []
         self._fault: str | None = None
         self._on_fault: Callable[[str | None], None] | None = None
 
@@ -95,6 +110,11 @@ class Journal:
         return self._head_offset
 
     @property
+    def oldest_offset(self) -> int:
+        """Oldest offset that is still on disk; where there is none, the next one."""
+        return self._oldest_offset
+
+    @property
     def is_full(self) -> bool:
         """Whether ``append`` would raise now."""
         return self._n_waiting >= MAX_WAITING
@@ -108,8 +128,8 @@ class Journal:
         """Return a connection that reads what is committed; its owner closes it."""
         return JournalReader(self._path)
 
-    def listen(self, listener: Callable[[tuple[JournalRecord, ...], int], None]) -> None:
-        """Have ``listener(records, head_offset)`` called in the loop for each committed group, before its future resolves."""
+    def listen(self, listener: Callable[[Committed], None]) -> None:
+        """Have ``listener`` called in the loop with the records of each committed group, before its futures resolve."""
         self._listeners.append(listener)
 
     def listen_for_fault(self, listener: Callable[[str | None], None]) -> None:
@@ -128,15 +148,21 @@ class Journal:
         """
         if self.is_full:
             raise JournalFullError(limit=MAX_WAITING)
-        loop = asyncio.get_running_loop()
-        if not self._groups or len(self._groups[-1].writes) >= MAX_GROUP:
-            self._groups.append(_Group(done=loop.create_future()))
-            self._wake.set()
-        group = self._groups[-1]
-        done: asyncio.Future[None] = loop.create_future()
-        group.writes.append((write, done))
+        done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        group = self._gathering()
+        try:
+            group.segment.add(write)
+        except _UNSTORABLE as error:
+            self._health.count("journal.unstorable_writes")
+            _log.error("journal.unstorable", path=self._path, reason=f"{type(error).__name__}: {error}")
+            done.set_exception(error)
+            done.exception()  # marked as seen: not everyone who appends waits
+            return done
+        self._next_offset = group.segment.next_offset
+        group.waiting.append(done)
         self._n_waiting += 1
         self._last_group = group.done
+        self._wake.set()
         return done
 
     def barrier(self) -> asyncio.Future[None]:
@@ -153,7 +179,9 @@ class Journal:
             await self._wake.wait()
             self._wake.clear()
             while self._groups:
-                await self._commit(self._groups.popleft())
+                group = self._groups.popleft()
+                if group.waiting:
+                    await self._commit(group)
 
     async def drain(self) -> None:
         """Wait until all that was appended is on disk."""
@@ -165,51 +193,44 @@ class Journal:
         self._executor.shutdown(wait=True)
         self._file.close()
 
+    def _gathering(self) -> _Group:
+        """Return the group that takes the next write."""
+        if not self._groups or self._groups[-1].is_closed:
+            segment = SegmentBuilder(first_offset=self._next_offset, windows=self._file.windows)
+            self._groups.append(_Group(done=asyncio.get_running_loop().create_future(), segment=segment))
+        return self._groups[-1]
+
     async def _commit(self, group: _Group) -> None:
-        try:
-            await self._commit_together(group.writes)
-        except _UNSTORABLE:
-            for one in group.writes:
-                await self._commit_alone(*one)
-        group.done.set_result(None)
-
-    async def _commit_alone(self, write: JournalWrite, done: asyncio.Future[None]) -> None:
-        try:
-            await self._commit_together([(write, done)])
-        except _UNSTORABLE as error:
-            self._health.count("journal.unstorable_writes")
-            _log.error("journal.unstorable", path=self._path, reason=f"{type(error).__name__}: {error}")
-            self._n_waiting -= 1
-            done.set_exception(error)
-            done.exception()  # marked as seen: not everyone who appends waits
-
-    async def _commit_together(self, members: list[tuple[JournalWrite, asyncio.Future[None]]]) -> None:
-        """Commit in one transaction, as often as it takes; raises one of ``_UNSTORABLE``, and then nothing is on disk."""
+        """Commit a group in one transaction, as often as it takes, then tell of it."""
         loop = asyncio.get_running_loop()
-        writes = _number([write for write, _ in members], first_offset=self._head_offset + 1)
+        segment = group.segment
         retry_s = _FIRST_RETRY_S
         while True:
             try:
-                await asyncio.shield(loop.run_in_executor(self._executor, self._file.commit, writes))
+                await asyncio.shield(loop.run_in_executor(self._executor, self._file.commit, segment))
                 break
-            except _UNSTORABLE:
-                raise
             except sqlite3.Error as error:  # full disk, I/O error, locked, damaged: nobody is told of what it did not take
                 self._enter_fault(str(error))
             await asyncio.sleep(retry_s)
             retry_s = min(2 * retry_s, _MAX_RETRY_S)
         self._leave_fault()
-        self._n_waiting -= len(writes)
-        records = tuple(record for write in writes for record in write.records)
+        self._n_waiting -= segment.n_writes
         self._health.count("journal.commits")
-        self._health.count("journal.writes", len(writes))
-        if records:
-            self._head_offset = records[-1].offset
+        self._health.count("journal.writes", segment.n_writes)
+        if segment.bodies:
+            self._head_offset = segment.next_offset - 1
+            committed = Committed(
+                records=tuple(segment.records),
+                bodies=tuple(segment.bodies),
+                head_offset=self._head_offset,
+                oldest_offset=self._oldest_offset,
+            )
             for listener in self._listeners:
-                listener(records, self._head_offset)
-        for _, done in members:
+                listener(committed)
+        for done in group.waiting:
             if not done.done():
                 done.set_result(None)
+        group.done.set_result(None)
 
     def _enter_fault(self, reason: str) -> None:
         self._health.count("journal.refused_commits")
@@ -233,19 +254,3 @@ def _read_machine_boot() -> str:
         return _MACHINE_BOOT.read_text(encoding="ascii").strip()
     except OSError:
         return ""
-
-
-def _number(writes: list[JournalWrite], *, first_offset: int) -> list[JournalWrite]:
-    """Give the records their offsets; only now, so that a write that was dropped leaves no gap."""
-    offsets = itertools.count(first_offset)
-    return [
-        JournalWrite(
-            records=tuple(msgspec.structs.replace(record, offset=next(offsets)) for record in write.records),
-            report=write.report,
-            node=write.node,
-            audit=write.audit,
-        )
-        if write.records
-        else write
-        for write in writes
-    ]

@@ -239,6 +239,7 @@ class Service:
                     wall_ns=Nanoseconds(time.time_ns()),
                     radios=self._health.radios(),
                     counters=self._health.counters(),
+                    oldest_offset=journal.oldest_offset,
                 )
             )
             await asyncio.sleep(_STATUS_PERIOD_S)

@@ -146,13 +146,25 @@ JournalRecord: TypeAlias = EncounterRecord | ModeRecord | MissionRecord
 class RecordBatch(Struct, frozen=True, kw_only=True):
     """Journaled records on their way: a publication, or a part of the answer to a history query.
 
-    ``head_offset`` is the newest offset in the journal when the batch was made; a reader that knows less has a gap.
+    ``head_offset`` is the newest offset in the journal when the batch was made; a reader that knows less has a gap. Those
+    below ``oldest_offset`` are no longer there: asking for them brings nothing.
     """
 
     gateway: str
     journal: str
     head_offset: _Count
     records: tuple[JournalRecord, ...]
+    oldest_offset: _Offset = 1
+
+
+class EncodedBatch(Struct, frozen=True, kw_only=True):
+    """A RecordBatch made of records that are MessagePack already; encoded, it is one."""
+
+    gateway: str
+    journal: str
+    head_offset: _Count
+    records: tuple[msgspec.Raw, ...]
+    oldest_offset: _Offset = 1
 
 
 class HistoryRequest(Struct, frozen=True, kw_only=True):
@@ -173,6 +185,8 @@ class GatewayStatus(Struct, frozen=True, kw_only=True):
     radios: dict[str, str]
     """Radio's name to its state: connecting, up or down."""
     counters: dict[str, int]
+    oldest_offset: _Offset = 1
+    """See RecordBatch."""
 
 
 class BackpackLimits(Struct, frozen=True, kw_only=True):

@@ -1,5 +1,6 @@
 """The reference coordinator firmware on an emulated Cortex-M3 behind a pty, and the gateway as a user starts it."""
 
+import contextlib
 import importlib.util
 import json
 import random
@@ -17,7 +18,8 @@ from typing import Any
 
 import pytest
 
-from firmware_protocol.contract.records import EncounterRecord, ModeRecord, decode_journal_record
+from firmware_protocol.contract.records import EncounterRecord, JournalRecord, ModeRecord
+from gateway.journal_file import JournalReader
 from tests.e2e.bench_encounters import N_NODES, Meeting, all_meetings
 from tests.e2e.emulated_board import EMULATOR, EmulatedBoard
 from tests.e2e.troubled_line import TroubledLine
@@ -76,15 +78,11 @@ class RunningGateway:
 
     def n_entries(self) -> int:
         """Count what is in the journal: encounters and their revisions, and modes."""
-        try:
-            return int(self._ask("SELECT COUNT(*) FROM entries")[0][0])
-        except sqlite3.OperationalError:  # not made yet
-            return 0
+        return self._read(from_offset=1, limit=1)[1]
 
     def records(self) -> list[Any]:
         """Return the newest revision of each record that counts."""
-        bodies = self._ask("SELECT body FROM entries ORDER BY offset")
-        newest = {record.identity: record for record in (decode_journal_record(body) for (body,) in bodies)}
+        newest = {record.identity: record for record in self._read(from_offset=1, limit=1_000_000)[0]}
         return list(newest.values())
 
     def encounters(self) -> list[EncounterRecord]:
@@ -108,12 +106,12 @@ class RunningGateway:
         command = [sys.executable, "-m", "gateway", *arguments, "--connect", self.endpoint]
         return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=40, check=False).stdout
 
-    def _ask(self, query: str) -> list[tuple[Any, ...]]:
-        connection = sqlite3.connect(f"file:{self.folder / 'journal.sqlite'}?mode=ro", uri=True)
+    def _read(self, *, from_offset: int, limit: int) -> tuple[list[JournalRecord], int]:
         try:
-            return connection.execute(query).fetchall()
-        finally:
-            connection.close()
+            with contextlib.closing(JournalReader(self.folder / "journal.sqlite")) as reader:
+                return reader.read_records(from_offset=from_offset, limit=limit)
+        except sqlite3.OperationalError:  # not made yet
+            return [], 0
 
 
 def _check_times(meetings: list[Meeting], encounters: list[EncounterRecord]) -> None:

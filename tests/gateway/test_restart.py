@@ -125,7 +125,7 @@ def test_a_late_encounter_is_taken_where_the_journal_cannot_be_read(tmp_path: Pa
         reader.close()
         running = asyncio.ensure_future(journal.run())
         heard: list[object] = []
-        journal.listen(lambda records, _: heard.extend(records))
+        journal.listen(lambda committed: heard.extend(committed.records))
         entry = EncounterEntry(
             peer=NodeId(2), start_ms=Milliseconds(1), duration_ms=Milliseconds(5), rssi_dbm=RssiDbm(-60), is_ongoing=False
         )

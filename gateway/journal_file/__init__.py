@@ -1,0 +1,20 @@
+"""The journal's file: segments of records and reports in SQLite, written by one gateway and read by anybody (docs/journal.md)."""
+
+from gateway.journal_file.file import SESSIONS_PER_START, JournalFile, open_journal_file
+from gateway.journal_file.reader import JournalReader, RecordPage
+from gateway.journal_file.segments import SegmentBuilder
+from gateway.journal_file.writes import AuditEntry, Committed, JournalIdentity, JournalWrite, UplinkReport
+
+__all__ = [
+    "SESSIONS_PER_START",
+    "AuditEntry",
+    "Committed",
+    "JournalFile",
+    "JournalIdentity",
+    "JournalReader",
+    "JournalWrite",
+    "RecordPage",
+    "SegmentBuilder",
+    "UplinkReport",
+    "open_journal_file",
+]

@@ -1,0 +1,175 @@
+"""The journal's file as the gateway writes it: opened, locked, and committed to segment by segment.
+
+Synchronous; each object belongs to one thread at a time.
+"""
+
+import fcntl
+import json
+import secrets
+import sqlite3
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from firmware_protocol.units import NS_PER_S, BootId, Nanoseconds
+from gateway.errors import JournalUnfitError
+from gateway.journal_file.migration import bring_over
+from gateway.journal_file.schema import (
+    COMMIT,
+    FIRST_SCHEMA_VERSION,
+    head_offset,
+    make_tables,
+    oldest_offset,
+    schema_version_of,
+    set_durable,
+    unfit,
+)
+from gateway.journal_file.segments import SegmentBuilder, Windows
+from gateway.journal_file.writes import JournalIdentity
+
+SESSIONS_PER_START = 16
+"""Link session numbers that are a start's own: 4096 starts in a row use different ones."""
+
+_MAX_ANCHORS = 64
+
+
+class JournalFile:
+    """An open journal, locked against other gateways.
+
+    ``windows`` is what the disk knows of backpacks' messages, and what segments that are under way will tell it.
+    """
+
+    def __init__(
+        self, *, connection: sqlite3.Connection, lock: IO[bytes], identity: JournalIdentity, wall_clock: Callable[[], int] = time.time_ns
+    ) -> None:
+        self._connection = connection
+        self._lock = lock
+        self._wall_clock = wall_clock
+        self._newest_segment = _newest_segment(connection)
+        self._has_failed = False
+        self.identity = identity
+        self.windows = Windows(connection.execute("SELECT node, boot, next, above, wall_ns FROM windows"))
+
+    def commit(self, gathered: SegmentBuilder) -> None:
+        """Put a segment on disk in one transaction; an error leaves the file as it was, or complete.
+
+        After an error of SQLite the same segment may be given again: where the failed commit did reach the disk, nothing is
+        written twice.
+        """
+        number = self._newest_segment + 1
+        if not (self._has_failed and _newest_segment(self._connection) >= number):
+            self._has_failed = True  # until it is known not to have
+            self._connection.execute(COMMIT, gathered.seal(segment=number, now_wall_ns=self._wall_clock()).row())
+        self._has_failed = False
+        self._newest_segment = number
+
+    def oldest_offset(self) -> int:
+        """Return the first offset that the file still has, or will have."""
+        return oldest_offset(self._connection)
+
+    def close(self) -> None:
+        """Close the file and let others have it."""
+        self._connection.close()
+        self._lock.close()
+
+
+def open_journal_file(path: Path, *, now_wall_ns: int, now_ns: int, machine_boot: str) -> JournalFile:
+    """Open the journal, or make it where there is none, and begin a new boot. One of an earlier version is brought over first.
+
+    ``machine_boot`` names what the monotonic clock counts from; it is empty where that is not known.
+
+    Raises
+    ------
+    JournalUnfitError
+        The file is something else, cannot be written, or is in use by another gateway.
+    """
+    lock = _take_lock(path)
+    try:
+        connection = _connect(path)
+        try:
+            if schema_version_of(connection, path=path) == FIRST_SCHEMA_VERSION:
+                connection.close()
+                bring_over(path)
+                connection = _connect(path)
+            if schema_version_of(connection, path=path) == 0:
+                make_tables(connection)
+            set_durable(connection)
+            _forget_old_lives(connection)
+            identity = _begin_boot(connection, now_wall_ns=now_wall_ns, now_ns=now_ns, machine_boot=machine_boot)
+            return JournalFile(connection=connection, lock=lock, identity=identity)
+        except BaseException:
+            connection.close()
+            raise
+    except sqlite3.DatabaseError as error:
+        lock.close()
+        raise unfit(path, error) from error
+    except BaseException:
+        lock.close()
+        raise
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=5.0)
+    connection.execute("PRAGMA locking_mode = NORMAL")
+    return connection
+
+
+def _take_lock(path: Path) -> IO[bytes]:
+    # A lock on the database file itself would be dropped by SQLite's own opening and closing of it: POSIX locks are a process's.
+    if path.is_dir():
+        raise JournalUnfitError(path=str(path), reason="is a directory", advice="give the name of a file")
+    lock_path = path.with_name(path.name + ".lock")
+    try:
+        lock = lock_path.open("ab")
+    except OSError as error:
+        reason = f"{lock_path.parent} cannot be written: {error.strerror}"
+        raise JournalUnfitError(path=str(path), reason=reason, advice="make the directory or choose another file with --journal") from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        lock.close()
+        raise JournalUnfitError(
+            path=str(path), reason="another gateway has it open", advice="stop that one or choose another file with --journal"
+        ) from error
+    return lock
+
+
+def _forget_old_lives(connection: sqlite3.Connection) -> None:
+    newest = "SELECT node, boot, row_number() OVER (PARTITION BY node ORDER BY wall_ns DESC) AS place FROM windows"
+    connection.execute(
+        f"DELETE FROM windows WHERE (node, boot) IN (SELECT node, boot FROM ({newest}) WHERE place > ?)",  # noqa: S608  # constants
+        (Windows.MAX_LIVES,),
+    )
+
+
+def _begin_boot(connection: sqlite3.Connection, *, now_wall_ns: int, now_ns: int, machine_boot: str) -> JournalIdentity:
+    meta = dict(connection.execute("SELECT key, value FROM meta"))
+    boot = BootId(max(int(meta["boot"]) + 1, now_wall_ns // NS_PER_S))
+    anchor_ns = Nanoseconds(now_wall_ns - now_ns)
+    is_same_clock = bool(machine_boot) and meta.get("machine_boot") == machine_boot
+    earlier = tuple(Nanoseconds(anchor) for anchor in json.loads(meta["anchors"])) if is_same_clock else ()
+    first_session = int(meta.get("next_session") or secrets.randbelow(1 << 16))
+    # Before the first session is opened: a process that is killed leaves its numbers used.
+    connection.execute(
+        "INSERT OR REPLACE INTO meta VALUES ('boot', ?), ('machine_boot', ?), ('anchors', ?), ('next_session', ?)",
+        (
+            str(boot),
+            machine_boot,
+            json.dumps([*earlier, anchor_ns][-_MAX_ANCHORS:]),
+            str((first_session + SESSIONS_PER_START) % (1 << 16)),
+        ),
+    )
+    return JournalIdentity(
+        journal=meta["journal"],
+        boot=boot,
+        head_offset=head_offset(connection),
+        wall_anchor_ns=anchor_ns,
+        earlier_anchors=earlier,
+        first_session=first_session,
+    )
+
+
+def _newest_segment(connection: sqlite3.Connection) -> int:
+    row = connection.execute("SELECT segment FROM segments ORDER BY first_offset DESC, segment DESC LIMIT 1").fetchone()
+    return 0 if row is None else int(row[0])

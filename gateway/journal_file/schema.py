@@ -1,0 +1,133 @@
+"""The tables of a journal, version 2, and whether a file is one (docs/journal.md).
+
+``segments`` says of each commit, or of several merged ones, what is in it; ``contents`` holds its bytes. ``windows``, ``nodes``, ``states``
+and ``audit`` are what a restart wants to know at once. One INSERT into the view ``commits`` is one transaction on all of them: each
+statement that Python steps through gives up its lock of the interpreter and has to wait for it again.
+"""
+
+import secrets
+import sqlite3
+from pathlib import Path
+
+from gateway.errors import JournalUnfitError
+
+APPLICATION_ID = 0x42494F47
+"""In SQLite's header, "BIOG": this file is a gateway's journal."""
+
+SCHEMA_VERSION = 2
+FIRST_SCHEMA_VERSION = 1
+"""Whose files are brought over."""
+
+_COLUMNS = (
+    "segment, first_offset, n_records, n_reports, wall_ns, min_start, max_end, encoding, crc, pairs, records, reports, "
+    "windows, states, nodes, audits, blobs"
+)
+COMMIT = f"INSERT INTO commits ({_COLUMNS}) VALUES ({', '.join('?' * len(_COLUMNS.split(',')))})"  # noqa: S608  # constants of this file
+"""Takes ``SealedSegment.row()``."""
+
+_STATEMENTS = (
+    "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
+    # level: how often it was merged. wall_ns: when it was committed. min_start, max_end: UTC of its encounters.
+    """CREATE TABLE segments (
+  first_offset INTEGER NOT NULL, segment INTEGER NOT NULL, n_records INTEGER NOT NULL, n_reports INTEGER NOT NULL, level INTEGER NOT NULL,
+  wall_ns INTEGER NOT NULL, min_start INTEGER, max_end INTEGER, encoding INTEGER NOT NULL, crc INTEGER NOT NULL,
+  PRIMARY KEY (first_offset, segment)) WITHOUT ROWID""",
+    "CREATE INDEX segments_of_time ON segments (max_end) WHERE max_end IS NOT NULL",
+    "CREATE TABLE contents (segment INTEGER PRIMARY KEY, pairs BLOB NOT NULL, records BLOB NOT NULL, reports BLOB NOT NULL)",
+    """CREATE TABLE windows (
+  node INTEGER NOT NULL, boot INTEGER NOT NULL, next INTEGER NOT NULL, above INTEGER NOT NULL, wall_ns INTEGER NOT NULL,
+  PRIMARY KEY (node, boot)) WITHOUT ROWID""",
+    "CREATE TABLE nodes (node INTEGER PRIMARY KEY, body BLOB NOT NULL)",
+    "CREATE TABLE states (offset INTEGER PRIMARY KEY, kind INTEGER NOT NULL, body BLOB NOT NULL)",
+    "CREATE INDEX states_of_kind ON states (kind, offset)",
+    """CREATE TABLE audit (
+  id INTEGER PRIMARY KEY, wall_ns INTEGER NOT NULL, command_id TEXT NOT NULL, wire_command INTEGER, stage TEXT NOT NULL,
+  node INTEGER NOT NULL, train_ms INTEGER NOT NULL, request BLOB NOT NULL, body BLOB NOT NULL)""",
+    "CREATE INDEX audit_of_command ON audit (command_id, id)",
+    "CREATE INDEX audit_of_time ON audit (wall_ns)",
+    "CREATE TABLE watermarks (mapper TEXT PRIMARY KEY, offset INTEGER NOT NULL, wall_ns INTEGER NOT NULL) WITHOUT ROWID",
+    f"CREATE VIEW commits AS SELECT {', '.join('NULL AS ' + name for name in _COLUMNS.split(', '))}",
+    # substr of an empty blob is NULL.
+    """CREATE TRIGGER commit_segment INSTEAD OF INSERT ON commits BEGIN
+  INSERT INTO segments VALUES (
+    NEW.first_offset, NEW.segment, NEW.n_records, NEW.n_reports, 0, NEW.wall_ns, NEW.min_start, NEW.max_end, NEW.encoding, NEW.crc);
+  INSERT INTO contents VALUES (NEW.segment, NEW.pairs, NEW.records, NEW.reports);
+  INSERT OR REPLACE INTO windows
+    SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4 FROM json_each(NEW.windows);
+  INSERT INTO states
+    SELECT value ->> 0, value ->> 1, coalesce(substr(NEW.blobs, value ->> 2, value ->> 3), x'') FROM json_each(NEW.states);
+  INSERT OR REPLACE INTO nodes
+    SELECT value ->> 0, coalesce(substr(NEW.blobs, value ->> 1, value ->> 2), x'') FROM json_each(NEW.nodes);
+  INSERT INTO audit (wall_ns, command_id, wire_command, stage, node, train_ms, request, body)
+    SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5,
+      coalesce(substr(NEW.blobs, value ->> 6, value ->> 7), x''),
+      coalesce(substr(NEW.blobs, value ->> 8, value ->> 9), x'') FROM json_each(NEW.audits);
+END""",
+)
+
+_NO_SPACE_ADVICE = "free some space or choose another file with --journal"
+
+
+def make_tables(connection: sqlite3.Connection, *, journal: str | None = None) -> None:
+    """Make the tables of an empty file; its history is called ``journal``, or gets a random name."""
+    # Before the first table: a file cannot be made to give its pages back later.
+    connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
+    set_durable(connection)
+    connection.execute("BEGIN IMMEDIATE")
+    for statement in _STATEMENTS:
+        connection.execute(statement)
+    connection.execute("INSERT INTO meta VALUES ('journal', ?), ('boot', '0')", (journal or secrets.token_hex(4),))
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+    connection.execute("COMMIT")
+
+
+def set_durable(connection: sqlite3.Connection) -> None:
+    """Have every commit on disk when it returns, a power cut or not."""
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = FULL")
+
+
+def schema_version_of(connection: sqlite3.Connection, *, path: Path) -> int:
+    """Return the version of a journal's tables, 0 where there are none yet.
+
+    Raises
+    ------
+    JournalUnfitError
+        The file is another program's, or of a version that is not known here.
+    """
+    application_id = connection.execute("PRAGMA application_id").fetchone()[0]
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    if not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+        return 0
+    if application_id != APPLICATION_ID:
+        raise JournalUnfitError(path=str(path), reason="is a database of another program", advice="choose another file with --journal")
+    if not FIRST_SCHEMA_VERSION <= version <= SCHEMA_VERSION:
+        reason = f"has schema version {version}, but this program knows {FIRST_SCHEMA_VERSION} to {SCHEMA_VERSION}"
+        raise JournalUnfitError(
+            path=str(path), reason=reason, advice="choose another file with --journal, or the program's fitting version"
+        )
+    return version
+
+
+def head_offset(connection: sqlite3.Connection) -> int:
+    """Return the newest offset of a journal, 0 where it has none."""
+    row = connection.execute(
+        "SELECT first_offset + n_records - 1 FROM segments ORDER BY first_offset DESC, segment DESC LIMIT 1"
+    ).fetchone()
+    return 0 if row is None else int(row[0])
+
+
+def oldest_offset(connection: sqlite3.Connection) -> int:
+    """Return the first offset that a journal still has, or will have."""
+    return int(connection.execute("SELECT coalesce(min(first_offset), 1) FROM segments").fetchone()[0])
+
+
+def unfit(path: Path, error: sqlite3.DatabaseError) -> JournalUnfitError:
+    """Say what is wrong with a file, and what to do."""
+    text = str(error)
+    if "not a database" in text or "malformed" in text:
+        return JournalUnfitError(path=str(path), reason=f"is no journal ({text})", advice="choose another file with --journal")
+    if "readonly" in text or "unable to open" in text:
+        return JournalUnfitError(path=str(path), reason=f"cannot be written ({text})", advice="make it writable or choose another file")
+    return JournalUnfitError(path=str(path), reason=text, advice=_NO_SPACE_ADVICE)

@@ -1,0 +1,252 @@
+"""A segment: what is committed together, gathered write by write and sealed for the disk. Pure.
+
+All that can be wrong with a write is found when it is added: a segment that was gathered can be stored.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+
+from firmware_protocol.contract.records import (
+    EncounterRecord,
+    JournalRecord,
+    MissionRecord,
+    encode_journal_record,
+)
+from gateway.journal_file.blobs import NO_PAIR, checksum, compress, pack_pairs, pack_records, pack_report, pair_key
+from gateway.journal_file.writes import AuditEntry, JournalWrite, UplinkReport
+
+MODE, MISSION = 1, 2
+"""Kinds of states: records that are few, and wanted by themselves at a restart."""
+
+RECORDS_COMPRESSED, REPORTS_COMPRESSED = 1, 2
+"""Bits of a segment's ``encoding``."""
+
+_MIN_INTEGER, _MAX_INTEGER = -(1 << 63), (1 << 63) - 1  # SQLite's
+_MAX_AHEAD = 62
+"""Numbers above a window's lowest that are remembered in one integer; WIRE_FORMAT.md §5.1 allows 32."""
+
+Window = tuple[int, int, int]
+"""Lowest number that is not done, those done above it (bit i: that many more), and when it was last heard [ns, UTC]."""
+
+Row = tuple[int | bytes | str | None, ...]
+
+
+@dataclass(slots=True, kw_only=True)
+class SegmentBuilder:
+    """Gathers writes. ``windows`` is shared by all segments of a journal: it is what the disk will know of backpacks' messages."""
+
+    first_offset: int
+    windows: "Windows"
+    records: list[JournalRecord] = field(default_factory=list)
+    bodies: list[bytes] = field(default_factory=list)
+    n_writes: int = 0
+    size: int = 0
+    """Octets of records and reports."""
+    _pairs: list[int] = field(default_factory=list)
+    _min_start: int = _MAX_INTEGER
+    _max_end: int = _MIN_INTEGER
+    _reports: list[bytes] = field(default_factory=list)
+    _windows: dict[tuple[int, int], Window] = field(default_factory=dict)
+    _nodes: dict[int, bytes] = field(default_factory=dict)
+    _states: list[tuple[int, int, bytes]] = field(default_factory=list)
+    _audits: list[AuditEntry] = field(default_factory=list)
+
+    @property
+    def next_offset(self) -> int:
+        """The offset that the next record gets."""
+        return self.first_offset + len(self.bodies)
+
+    def add(self, write: JournalWrite) -> None:
+        """Take a write, and give its records their offsets.
+
+        Raises
+        ------
+        OverflowError, TypeError, ValueError
+            It can never be stored; the segment is as it was.
+        """
+        report, audit = write.report, write.audit
+        packed = None if report is None else pack_report(report)
+        if audit is not None:
+            _check_range(audit.wall_ns, audit.train_ms, audit.wire_command or 0)
+            (audit.command_id + audit.stage).encode()
+        if write.node is not None:
+            _check_range(write.node[0])
+        if write.records:
+            self._add_records(write.records)
+        if report is not None and packed is not None:
+            self._reports.append(packed)
+            self.size += len(packed)
+            self._windows[report.node, report.boot] = self.windows.note(report)
+        if write.node is not None:
+            self._nodes[write.node[0]] = write.node[1]
+        if audit is not None:
+            self._audits.append(audit)
+        self.n_writes += 1
+
+    def _add_records(self, records: tuple[JournalRecord, ...]) -> None:
+        bodies, pairs, states = [], [], []
+        low, high = self._min_start, self._max_end
+        offset = self.next_offset
+        for record in records:
+            # The writer handed it over and it was told to nobody: it is made whole here, not changed.
+            msgspec.structs.force_setattr(record, "offset", offset)
+            body = encode_journal_record(record)
+            if isinstance(record, EncounterRecord):
+                anchor_ns = record.wall_anchor_ns
+                low, high = min(low, record.t_start_ns + anchor_ns), max(high, record.t_end_ns + anchor_ns)
+                pairs.append(pair_key(record.node_a, record.node_b))
+            else:
+                states.append((offset, MISSION if isinstance(record, MissionRecord) else MODE, body))
+                pairs.append(NO_PAIR)
+            bodies.append(body)
+            offset += 1
+        _check_range(low, high)
+        self._min_start, self._max_end = low, high
+        self.records += records
+        self.bodies += bodies
+        self._pairs += pairs
+        self._states += states
+        self.size += sum(map(len, bodies))
+
+    def seal(self, *, segment: int, now_wall_ns: int) -> "SealedSegment":
+        """Return it ready for the disk, as segment number ``segment``."""
+        blobs: list[bytes] = []
+        at = 1  # SQLite's substr counts from 1
+
+        def place(blob: bytes) -> tuple[int, int]:
+            nonlocal at
+            blobs.append(blob)
+            at += len(blob)
+            return at - len(blob), len(blob)
+
+        states = [(offset, kind, *place(body)) for offset, kind, body in self._states]
+        nodes = [(node, *place(body)) for node, body in self._nodes.items()]
+        audits = [
+            (
+                one.wall_ns,
+                one.command_id,
+                one.wire_command,
+                one.stage,
+                min(one.node, _MAX_INTEGER),  # a command may name a larger one, and its request says which
+                one.train_ms,
+                *place(one.request),
+                *place(one.body),
+            )
+            for one in self._audits
+        ]
+        contents = make_contents(self.bodies, self._pairs, b"".join(self._reports))
+        has_encounters = self._max_end >= self._min_start
+        return SealedSegment(
+            segment=segment,
+            first_offset=self.first_offset,
+            n_records=len(self.bodies),
+            n_reports=len(self._reports),
+            wall_ns=now_wall_ns,
+            min_start=self._min_start if has_encounters else None,
+            max_end=self._max_end if has_encounters else None,
+            contents=contents,
+            windows=[(node, boot, *window) for (node, boot), window in self._windows.items()],
+            states=states,
+            nodes=nodes,
+            audits=audits,
+            blobs=b"".join(blobs),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contents:
+    """A segment's bytes as they are stored."""
+
+    pairs: bytes
+    records: bytes
+    reports: bytes
+    encoding: int
+    crc: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SealedSegment:
+    """A segment, ready for the disk, and what is said in tables of its own; places in ``blobs`` are (first, length), from 1."""
+
+    segment: int
+    first_offset: int
+    n_records: int
+    n_reports: int
+    wall_ns: int
+    min_start: int | None
+    max_end: int | None
+    contents: Contents
+    windows: Sequence[tuple[int, ...]]
+    states: Sequence[tuple[int, ...]]
+    nodes: Sequence[tuple[int, ...]]
+    audits: Sequence[tuple[int | str | None, ...]]
+    blobs: bytes
+
+    def row(self) -> Row:
+        """Return the values of one row of the view ``commits``."""
+        contents = self.contents
+        return (
+            self.segment,
+            self.first_offset,
+            self.n_records,
+            self.n_reports,
+            self.wall_ns,
+            self.min_start,
+            self.max_end,
+            contents.encoding,
+            contents.crc,
+            contents.pairs,
+            contents.records,
+            contents.reports,
+            *(msgspec.json.encode(rows).decode() for rows in (self.windows, self.states, self.nodes, self.audits)),
+            self.blobs,
+        )
+
+
+def make_contents(bodies: list[bytes], pairs: Iterable[int], reports: bytes) -> Contents:
+    """Pack, compress where it pays, and sum up."""
+    packed = pack_records(bodies) if bodies else b""
+    stored_records, is_compressed = compress(packed)
+    stored_reports, are_compressed = compress(reports)
+    packed_pairs = pack_pairs(pairs)
+    encoding = (RECORDS_COMPRESSED if is_compressed else 0) | (REPORTS_COMPRESSED if are_compressed else 0)
+    crc = checksum(packed_pairs, stored_records, stored_reports)
+    return Contents(pairs=packed_pairs, records=stored_records, reports=stored_reports, encoding=encoding, crc=crc)
+
+
+class Windows:
+    """Which numbers of each life of each backpack are done, as the disk will know it; the newest lives of each."""
+
+    MAX_LIVES = 16
+    """More than are ever asked for: messages of four lives are taken."""
+
+    def __init__(self, known: Iterable[tuple[int, int, int, int, int]] = ()) -> None:
+        self._lives: dict[int, dict[int, Window]] = {}
+        for node, boot, next_number, above, wall_ns in known:
+            self._lives.setdefault(node, {})[boot] = (next_number, above, wall_ns)
+
+    def note(self, report: UplinkReport) -> Window:
+        """Take note of a report; return its life's window."""
+        lives = self._lives.get(report.node)
+        if lives is None:
+            lives = self._lives[report.node] = {}
+        next_number = report.next_number
+        known = lives.get(report.boot)
+        above = 0
+        if known is not None:
+            above = known[1] >> max(0, next_number - known[0])
+        ahead = report.number - next_number
+        if 0 <= ahead < _MAX_AHEAD:
+            above |= 1 << ahead
+        window = lives[report.boot] = (next_number, above, report.received_wall_ns)
+        if known is None and len(lives) > self.MAX_LIVES:
+            del lives[min(lives, key=lambda boot: lives[boot][2])]
+        return window
+
+
+def _check_range(*values: int) -> None:
+    for value in values:
+        if not _MIN_INTEGER <= value <= _MAX_INTEGER:
+            raise OverflowError(f"{value} has more than the 64 bits of a number in the journal")
