@@ -8,6 +8,7 @@ has it and readers fill gaps from the history. Answers to commands and history q
 import asyncio
 import json
 import queue
+import sqlite3
 import threading
 import time
 from collections import deque
@@ -15,25 +16,21 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
-import msgspec
 import zenoh
 import zenoh.ext
 
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
 from firmware_protocol.contract.records import (
     CommandStage,
-    EncodedBatch,
-    EncounterRecord,
     GatewayEvent,
     GatewayStatus,
     HistoryRequest,
-    MissionRecord,
-    ModeRecord,
     NeighbourReport,
     NodeStatus,
     StimulationAction,
     StimulationRequest,
     Struct,
+    Watermark,
     decode_record,
     encode_record,
 )
@@ -43,6 +40,7 @@ from gateway.errors import BusError, CommandError
 from gateway.health import Health
 from gateway.journal_file import Committed, JournalReader
 from gateway.log import EventLog
+from gateway.record_batches import batches_of, history_batches
 
 _log = EventLog(__name__)
 
@@ -52,17 +50,13 @@ _PUT_QUEUE = 4096
 _CACHE = 512
 """Batches that late subscribers and those with a gap get without asking the history; at most 85 MB where each is as large as may be."""
 
-_MAX_BATCH = 500
-"""Records of one publication, or of one reply of the history: 165 kB."""
-
-_STREAMS: dict[type, Stream] = {EncounterRecord: Stream.ENCOUNTERS, ModeRecord: Stream.MODES, MissionRecord: Stream.MISSION}
-
 _HEARTBEAT_S = 0.5
 _MAX_COMMANDS = 256
 _MAX_STOPS = 4096
 """Commands that may wait when the next one is a STOP: it passes where any other is refused."""
 
 _MAX_HISTORY_QUERIES = 16
+_MAX_WATERMARKS = 64
 _DISCOVERY_S = 3.0
 _NAME_CHECK_S = 1.5
 _STATUS_POLL_S = 0.02
@@ -118,7 +112,8 @@ class Bus:
         self._n_history = threading.BoundedSemaphore(_MAX_HISTORY_QUERIES)
         self._lock = threading.Lock()
         self._commands: deque[tuple[StimulationRequest, CommandAnswer]] = deque()
-        self._declared: list[zenoh.Queryable[None] | zenoh.LivelinessToken] = []
+        self._watermarks: dict[str, int] = {}
+        self._declared: list[zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.LivelinessToken] = []
         self._publishers = {
             stream: zenoh.ext.declare_advanced_publisher(
                 session,
@@ -154,8 +149,9 @@ class Bus:
         on_command: Callable[[StimulationRequest, CommandAnswer], None],
         open_reader: Callable[[], JournalReader],
         journal: str,
+        on_watermark: Callable[[str, int], None] | None = None,
     ) -> None:
-        """Answer queries from now on, and be alive to others. ``on_command`` is called in the running loop."""
+        """Answer queries from now on, and be alive to others. ``on_command`` and ``on_watermark`` are called in the running loop."""
         loop = asyncio.get_running_loop()
         command_key, history_key = self._key(Stream.COMMAND), self._key(Stream.HISTORY)
 
@@ -165,26 +161,21 @@ class Bus:
         def take_history(query: zenoh.Query) -> None:
             self._take_history(query, key=history_key, open_reader=open_reader, journal=journal)
 
+        def take_watermark(sample: zenoh.Sample) -> None:
+            if on_watermark is not None:
+                self._take_watermark(sample, loop=loop, journal=journal, on_watermark=on_watermark)
+
+        watermarks = build_key(site=self._site, stream=Stream.WATERMARK, gateway=self._gateway, mapper=ANY)
+        self._declared.append(self._session.declare_subscriber(watermarks, take_watermark))
         self._declared.append(self._session.declare_queryable(command_key, take_command))
         self._declared.append(self._session.declare_queryable(history_key, take_history))
         self._declared.append(self._session.liveliness().declare_token(self._key(Stream.ALIVE)))
 
     def publish_records(self, committed: Committed) -> None:
         """Publish records that are on disk, as they lie there: batches of one kind each."""
-        by_stream: dict[Stream, list[msgspec.Raw]] = {}
-        for record, body in zip(committed.records, committed.bodies, strict=True):
-            by_stream.setdefault(_STREAMS[type(record)], []).append(msgspec.Raw(body))
-        for stream, members in by_stream.items():
+        for stream, batch in batches_of(committed, gateway=self._gateway):
             publisher = self._publishers[stream]
-            for at in range(0, len(members), _MAX_BATCH):
-                batch = EncodedBatch(
-                    gateway=self._gateway,
-                    journal=committed.records[0].journal,
-                    head_offset=committed.head_offset,
-                    oldest_offset=committed.oldest_offset,
-                    records=tuple(members[at : at + _MAX_BATCH]),
-                )
-                self._queue_put(lambda publisher=publisher, batch=batch: publisher.put(encode_record(batch)))  # type: ignore[misc]
+            self._queue_put(lambda publisher=publisher, batch=batch: publisher.put(encode_record(batch)))  # type: ignore[misc]
 
     def publish_gateway_status(self, status: GatewayStatus) -> None:
         """Publish the gateway's own state."""
@@ -266,6 +257,30 @@ class Bus:
         for request, answer in commands:
             on_command(request, answer)
 
+    def _take_watermark(
+        self, sample: zenoh.Sample, *, loop: asyncio.AbstractEventLoop, journal: str, on_watermark: Callable[[str, int], None]
+    ) -> None:
+        """Runs on a thread of Zenoh."""
+        try:
+            key, watermark = parse_key(str(sample.key_expr)), decode_record(sample.payload.to_bytes(), Watermark)
+        except (KeyExpressionError, RecordError):
+            self._health.count("bus.unfit_watermarks")
+            return
+        if watermark.mapper != key.mapper or watermark.journal != journal:
+            return  # of a journal that this gateway wrote before
+        with self._lock:
+            is_first = not self._watermarks
+            if len(self._watermarks) < _MAX_WATERMARKS or watermark.mapper in self._watermarks:
+                self._watermarks[watermark.mapper] = watermark.offset
+        if is_first:
+            loop.call_soon_threadsafe(self._hand_over_watermarks, on_watermark)
+
+    def _hand_over_watermarks(self, on_watermark: Callable[[str, int], None]) -> None:
+        with self._lock:
+            watermarks, self._watermarks = self._watermarks, {}
+        for mapper, offset in watermarks.items():
+            on_watermark(mapper, offset)
+
     def _take_history(self, query: zenoh.Query, *, key: str, open_reader: Callable[[], JournalReader], journal: str) -> None:
         """Runs on a thread of Zenoh."""
         try:
@@ -283,34 +298,15 @@ class Bus:
     ) -> None:
         try:
             with query:
-                for batch in self._history_batches(request, open_reader=open_reader, journal=journal):
+                for batch in history_batches(request, open_reader=open_reader, gateway=self._gateway, journal=journal):
                     query.reply(key, encode_record(batch))
         except zenoh.ZError as error:
             _log.debug("bus.history_lost", reason=str(error))
+        except sqlite3.Error as error:
+            self._health.count("bus.failed_history")
+            _log.error("bus.history_failed", reason=str(error))
         finally:
             self._n_history.release()
-
-    def _history_batches(
-        self, request: HistoryRequest, *, open_reader: Callable[[], JournalReader], journal: str
-    ) -> Iterator[EncodedBatch]:
-        """Yield at least one batch: an empty one tells how far the journal goes."""
-        reader = open_reader()
-        try:
-            at, rest = request.from_offset, request.limit
-            while rest > 0:
-                page = reader.read_page(from_offset=at, limit=min(rest, _MAX_BATCH))
-                yield EncodedBatch(
-                    gateway=self._gateway,
-                    journal=journal,
-                    head_offset=page.head_offset,
-                    oldest_offset=page.oldest_offset,
-                    records=tuple(map(msgspec.Raw, page.bodies)),
-                )
-                at, rest = page.first_offset + len(page.bodies), rest - len(page.bodies)
-                if not page.bodies or at > page.head_offset:
-                    return
-        finally:
-            reader.close()
 
     def _refuse(self, query: zenoh.Query, reason: str) -> None:
         self._health.count("bus.refused_queries")

@@ -181,6 +181,30 @@ class RecordingTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     max_mb: Annotated[float, msgspec.Meta(ge=1, le=1_000_000)] = 256.0
 
 
+class RetentionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How much of the journal is kept (docs/journal.md). What is younger than encounters.window_s stays in any case.
+
+    Keys
+    ----
+    max_age_days
+        Records and raw messages older than this go, but for those that a known mapper does not have yet. Not given: however old.
+    max_mb
+        The journal holds no more than this [MB]: the oldest go, those that a mapper lacks too, which is told. Not given: all the disk.
+    audit_days
+        Stages of commands are kept so long.
+    node_days
+        What is known of a biobot is kept so long after it was last heard.
+    mapper_days
+        A mapper that has not been heard of for so long is not waited for any more.
+    """
+
+    max_age_days: Annotated[float, msgspec.Meta(gt=0, le=36_500)] | None = None
+    max_mb: Annotated[float, msgspec.Meta(ge=1, le=100_000_000)] | None = None
+    audit_days: Annotated[float, msgspec.Meta(gt=0, le=36_500)] = 365.0
+    node_days: Annotated[float, msgspec.Meta(gt=0, le=36_500)] = 90.0
+    mapper_days: Annotated[float, msgspec.Meta(gt=0, le=36_500)] = 30.0
+
+
 class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All of the gateway's configuration.
 
@@ -196,7 +220,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         Zenoh endpoints, such as ``tcp/127.0.0.1:7447``.
     log_level
         DEBUG, INFO, WARNING or ERROR.
-    link, encounters, clocks, stimulation, backpacks, mission, recording
+    link, encounters, clocks, stimulation, backpacks, mission, recording, retention
         Tables of their own.
     """
 
@@ -214,6 +238,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     backpacks: BackpackTable = BackpackTable()
     mission: MissionTable = MissionTable()
     recording: RecordingTable = RecordingTable()
+    retention: RetentionTable = RetentionTable()
 
 
 def load_gateway_config(

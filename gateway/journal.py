@@ -10,7 +10,7 @@ import sqlite3
 import struct
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +25,9 @@ from gateway.journal_file import (
     JournalIdentity,
     JournalReader,
     JournalWrite,
+    Retention,
     SegmentBuilder,
+    Upkeep,
     open_journal_file,
 )
 from gateway.log import EventLog
@@ -50,6 +52,18 @@ _MACHINE_BOOT = Path("/proc/sys/kernel/random/boot_id")
 _FIRST_RETRY_S = 0.1
 _MAX_RETRY_S = 2.0
 
+_KEEP_ALL = Retention()
+_TIDY_PERIOD_S = 1.0
+_TIDY_AGAIN_S = 0.02
+_TIDY_AFTER = 64
+"""Commits after which small segments are looked through."""
+
+_ALARM_PERIOD_S = 60.0
+"""Records that a mapper lacks and that go are told of once in so long; they are counted all the while."""
+
+_MAX_MAPPERS = 64
+"""Mappers whose progress is remembered."""
+
 
 @dataclass(slots=True, kw_only=True)
 class _Group:
@@ -67,7 +81,7 @@ class _Group:
 class Journal:
     """The journal of a running gateway; see the module's description. Belongs to one event loop."""
 
-    def __init__(self, *, path: Path, file: JournalFile, health: Health) -> None:
+    def __init__(self, *, path: Path, file: JournalFile, health: Health, retention: Retention = _KEEP_ALL) -> None:
         self._path = path
         self._file = file
         self._health = health
@@ -82,12 +96,21 @@ class Journal:
         self._listeners: list[Callable[[Committed], None]] = []
         self._fault: str | None = None
         self._on_fault: Callable[[str | None], None] | None = None
+        self._retention = retention
+        self._watermarks = file.watermarks()
+        self._new_watermarks: dict[str, int] = {}
+        self._tidied_at = 0.0
+        self._n_untidied = 0
+        self._is_oversized = False
+        self._n_undelivered = 0
+        self._undelivered_told_at = -_ALARM_PERIOD_S
+        self._on_alarm: Callable[[str, Mapping[str, str]], None] | None = None
 
     @classmethod
-    def open(cls, path: Path, *, health: Health) -> Self:
+    def open(cls, path: Path, *, health: Health, retention: Retention = _KEEP_ALL) -> Self:
         """Open or make the journal at ``path``; raises ``JournalUnfitError``."""
         file = open_journal_file(path, now_wall_ns=time.time_ns(), now_ns=time.monotonic_ns(), machine_boot=_read_machine_boot())
-        return cls(path=path, file=file, health=health)
+        return cls(path=path, file=file, health=health, retention=retention)
 
     @property
     def identity(self) -> JournalIdentity:
@@ -136,6 +159,23 @@ class Journal:
         """Have ``listener`` called with the reason when the disk refuses, and with None when it takes records again."""
         self._on_fault = listener
 
+    def listen_for_alarm(self, listener: Callable[[str, Mapping[str, str]], None]) -> None:
+        """Have ``listener(kind, facts)`` called when records that a mapper lacks were dropped, or the size cannot be kept."""
+        self._on_alarm = listener
+
+    @property
+    def watermarks(self) -> Mapping[str, int]:
+        """How far each known mapper has said to have everything on its disk."""
+        return self._watermarks
+
+    def note_watermark(self, mapper: str, offset: int) -> None:
+        """Remember that a mapper has everything up to ``offset``; it is on disk within a second or two."""
+        if mapper not in self._watermarks and len(self._watermarks) >= _MAX_MAPPERS:
+            self._health.count("journal.mappers_ignored")
+            return
+        offset = min(offset, self._head_offset)
+        self._watermarks[mapper] = self._new_watermarks[mapper] = offset
+
     def append(self, write: JournalWrite) -> asyncio.Future[None]:
         """Queue a write; the future resolves when it is on disk, and fails where it can never be stored.
 
@@ -176,12 +216,20 @@ class Journal:
     async def run(self) -> None:
         """Commit what is appended, for ever; cancelling lets the commit under way finish."""
         while True:
-            await self._wake.wait()
+            if not self._groups:
+                try:
+                    async with asyncio.timeout(_TIDY_AGAIN_S if self._n_untidied >= _TIDY_AFTER else _TIDY_PERIOD_S):
+                        await self._wake.wait()
+                except TimeoutError:
+                    await self._tidy()
+                    continue
             self._wake.clear()
             while self._groups:
                 group = self._groups.popleft()
                 if group.waiting:
                     await self._commit(group)
+                if self._n_untidied >= _TIDY_AFTER or time.monotonic() - self._tidied_at >= _TIDY_PERIOD_S:
+                    await self._tidy()
 
     async def drain(self) -> None:
         """Wait until all that was appended is on disk."""
@@ -211,9 +259,11 @@ class Journal:
                 break
             except sqlite3.Error as error:  # full disk, I/O error, locked, damaged: nobody is told of what it did not take
                 self._enter_fault(str(error))
+            await self._tidy()  # may make room
             await asyncio.sleep(retry_s)
             retry_s = min(2 * retry_s, _MAX_RETRY_S)
         self._leave_fault()
+        self._n_untidied += 1
         self._n_waiting -= segment.n_writes
         self._health.count("journal.commits")
         self._health.count("journal.writes", segment.n_writes)
@@ -231,6 +281,41 @@ class Journal:
             if not done.done():
                 done.set_result(None)
         group.done.set_result(None)
+
+    async def _tidy(self) -> None:
+        """Take a step of upkeep; what the disk refuses of it is tried again later."""
+        self._tidied_at, self._n_untidied = time.monotonic(), 0
+        watermarks, self._new_watermarks = self._new_watermarks, {}
+        loop = asyncio.get_running_loop()
+        try:
+            done = await asyncio.shield(loop.run_in_executor(self._executor, self._file.tidy, self._retention, watermarks))
+        except sqlite3.Error as error:
+            self._health.count("journal.refused_upkeep")
+            _log.debug("journal.refused_upkeep", reason=str(error))
+            self._new_watermarks = {**watermarks, **self._new_watermarks}
+            return
+        if done.has_more:
+            self._n_untidied = _TIDY_AFTER  # goes on after the next commit, or in a while
+        self._tell_upkeep(done)
+
+    def _tell_upkeep(self, done: Upkeep) -> None:
+        if done.n_dropped:
+            self._health.count("journal.expired_records", done.n_dropped)
+            self._oldest_offset += done.n_dropped
+        if done.n_undelivered:
+            self._health.count("journal.undelivered_dropped", done.n_undelivered)
+            self._n_undelivered += done.n_undelivered
+            if time.monotonic() - self._undelivered_told_at >= _ALARM_PERIOD_S:
+                self._undelivered_told_at = time.monotonic()
+                self._alarm("journal.undelivered_dropped", records=self._n_undelivered, oldest_offset=self._oldest_offset)
+        if done.is_oversized and not self._is_oversized:
+            self._alarm("journal.oversized", limit=self._retention.max_size, keep_s=self._retention.keep_ns // 1_000_000_000)
+        self._is_oversized = done.is_oversized
+
+    def _alarm(self, kind: str, **facts: object) -> None:
+        _log.error(kind, path=self._path, **facts)
+        if self._on_alarm is not None:
+            self._on_alarm(kind, {name: str(value) for name, value in facts.items()})
 
     def _enter_fault(self, reason: str) -> None:
         self._health.count("journal.refused_commits")

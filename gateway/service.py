@@ -25,6 +25,7 @@ from gateway.inquiries import Inquirer
 from gateway.intake import Intake, IntakeListeners
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
+from gateway.journal_file import Retention
 from gateway.log import EventLog
 from gateway.mission import Mission
 from gateway.nodes import NodeBook
@@ -67,7 +68,7 @@ class Service:
             The configuration names what cannot be opened. A radio that is not there is no error: it is waited for.
         """
         ports = {spec.name: spec for spec in map(parse_port_spec, self._config.ports)}
-        self._journal = Journal.open(Path(self._config.journal), health=self._health)
+        self._journal = Journal.open(Path(self._config.journal), health=self._health, retention=_retention_of(self._config))
         try:
             bus = await asyncio.to_thread(Bus.open, self._config, health=self._health)
             try:
@@ -152,10 +153,16 @@ class Service:
         )
         journal.listen(bus.publish_records)
         journal.listen_for_fault(partial(self._on_journal_fault, bus))
+        journal.listen_for_alarm(partial(self._publish_event, bus, "error"))
         try:
             async with asyncio.TaskGroup() as tasks:
                 running = [tasks.create_task(journal.run())]
-                bus.start(on_command=partial(self._on_command, gate, tasks), open_reader=journal.reader, journal=journal.journal_id)
+                bus.start(
+                    on_command=partial(self._on_command, gate, tasks),
+                    open_reader=journal.reader,
+                    journal=journal.journal_id,
+                    on_watermark=journal.note_watermark,
+                )
                 running.append(tasks.create_task(self._publish_status(bus, intake)))
                 running.append(tasks.create_task(acknowledger.run()))
                 running.append(tasks.create_task(inquirer.run()))
@@ -202,29 +209,31 @@ class Service:
 
     def _on_radio_state(self, bus: Bus, radio: str, state: RadioState, reason: str) -> None:
         level = "info" if state is RadioState.UP else "warning"
-        self._publish_event(bus, level=level, kind=f"radio.{state.value}", facts={"radio": radio, "reason": reason})
+        self._publish_event(bus, level, f"radio.{state.value}", {"radio": radio, "reason": reason})
 
     def _on_duplicate(self, bus: Bus, node: NodeId, before: int, after: int) -> None:
         facts = {"node": str(node), "eui64_before": f"{before:016x}", "eui64": f"{after:016x}"}
         _log.warning("node.duplicate", **facts)
-        self._publish_event(bus, level="warning", kind="node.duplicate", facts=facts)
+        self._publish_event(bus, "warning", "node.duplicate", facts)
 
     def _on_diagnostic(self, bus: Bus, node: NodeId, diagnostic: Diagnostic) -> None:
         facts = {"node": str(node), "code": str(diagnostic.code), "argument": str(diagnostic.argument), "text": diagnostic.text}
         _SAY[diagnostic.level]("node.diagnostic", **facts)
-        self._publish_event(bus, level=diagnostic.level.name.lower(), kind="node.diagnostic", facts=facts)
+        self._publish_event(bus, diagnostic.level.name.lower(), "node.diagnostic", facts)
 
     def _on_unconfigured(self, bus: Bus, node: NodeId, reason: str) -> None:
         facts = {"node": str(node), "reason": reason}
         _log.warning("node.not_configured", **facts)
-        self._publish_event(bus, level="warning", kind="node.not_configured", facts=facts)
+        self._publish_event(bus, "warning", "node.not_configured", facts)
 
     def _on_journal_fault(self, bus: Bus, reason: str | None) -> None:
         level, kind = ("info", "journal.recovered") if reason is None else ("error", "journal.fault")
-        self._publish_event(bus, level=level, kind=kind, facts={"path": self._config.journal, "reason": reason or ""})
+        self._publish_event(bus, level, kind, {"path": self._config.journal, "reason": reason or ""})
 
-    def _publish_event(self, bus: Bus, *, level: str, kind: str, facts: dict[str, str]) -> None:
-        bus.publish_event(GatewayEvent(gateway=self._config.name, wall_ns=Nanoseconds(time.time_ns()), level=level, kind=kind, facts=facts))
+    def _publish_event(self, bus: Bus, level: str, kind: str, facts: Mapping[str, str]) -> None:
+        bus.publish_event(
+            GatewayEvent(gateway=self._config.name, wall_ns=Nanoseconds(time.time_ns()), level=level, kind=kind, facts=dict(facts))
+        )
 
     async def _publish_status(self, bus: Bus, intake: Intake) -> None:
         journal = self._journal
@@ -240,6 +249,7 @@ class Service:
                     radios=self._health.radios(),
                     counters=self._health.counters(),
                     oldest_offset=journal.oldest_offset,
+                    watermarks=dict(journal.watermarks),
                 )
             )
             await asyncio.sleep(_STATUS_PERIOD_S)
@@ -260,6 +270,22 @@ async def run_gateway(config: GatewayConfig) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, on_signal, number)
     await service.run()
+
+
+def _retention_of(config: GatewayConfig) -> Retention:
+    table = config.retention
+
+    def days(value: float) -> int:
+        return int(value * 86_400 * NS_PER_S)
+
+    return Retention(
+        max_age_ns=None if table.max_age_days is None else days(table.max_age_days),
+        max_size=None if table.max_mb is None else int(table.max_mb * 1_000_000),
+        keep_ns=int(config.encounters.window_s * NS_PER_S),
+        audit_age_ns=days(table.audit_days),
+        node_age_ns=days(table.node_days),
+        mapper_age_ns=days(table.mapper_days),
+    )
 
 
 def _make_host(spec: PortSpec) -> Host:

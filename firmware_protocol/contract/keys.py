@@ -1,7 +1,7 @@
 """Key expressions on Zenoh: build and parse (CONTRACT.md §2).
 
-``biobot/@v1/{site}/{stream}/{gateway}[/{node}]``. The version chunk begins with ``@``, so no wildcard crosses it and two
-versions never mix. ``*`` stands for "any" where a pattern is built.
+``biobot/@v1/{site}/{stream}/{gateway}[/{node}]``; a watermark has its mapper's name in the place of the node.
+The version chunk begins with ``@``, so no wildcard crosses it and two versions never mix. ``*`` stands for "any" where a pattern is built.
 """
 
 import re
@@ -29,6 +29,7 @@ class Stream(Enum):
     COMMAND = "command"
     HISTORY = "history"
     ALIVE = "alive"
+    WATERMARK = "watermark"
 
 
 _NODE = re.compile(r"[0-9]{1,20}\Z", re.ASCII)
@@ -45,6 +46,7 @@ class Key:
     stream: Stream
     gateway: str
     node: NodeId | None = None
+    mapper: str | None = None
 
 
 def check_name(name: str, *, what: str) -> str:
@@ -56,7 +58,7 @@ def check_name(name: str, *, what: str) -> str:
     return name
 
 
-def build_key(*, site: str, stream: Stream, gateway: str, node: NodeId | str | None = None) -> str:
+def build_key(*, site: str, stream: Stream, gateway: str, node: NodeId | str | None = None, mapper: str | None = None) -> str:
     """Return the key expression of a stream.
 
     Parameters
@@ -65,16 +67,22 @@ def build_key(*, site: str, stream: Stream, gateway: str, node: NodeId | str | N
         Names, or ``ANY``.
     node
         For ``STATUS`` and ``NEIGHBOURS``: a biobot, or ``ANY``. The gateway's own status has no node.
+    mapper
+        For ``WATERMARK``: a mapper's name, or ``ANY``.
 
     Raises
     ------
     KeyExpressionError
         A name has characters that a key expression may not have, or the stream has no nodes.
     """
-    for name, what in ((site, "site"), (gateway, "gateway")):
-        if name != ANY:
+    for name, what in ((site, "site"), (gateway, "gateway"), (mapper, "mapper")):
+        if name is not None and name != ANY:
             check_name(name, what=what)
     key = f"{_ROOT}/{site}/{stream.value}/{gateway}"
+    if stream is Stream.WATERMARK or mapper is not None:
+        if stream is not Stream.WATERMARK or mapper is None or node is not None:
+            raise KeyExpressionError(key=key, reason="a watermark, and nothing else, has a mapper")
+        return f"{key}/{mapper}"
     if node is None:
         return key
     if stream not in _WITH_NODE:
@@ -101,6 +109,10 @@ def parse_key(key: str) -> Key:
         raise KeyExpressionError(key=key, reason=f"unknown stream {stream_name!r}") from error
     check_name(site, what="site")
     check_name(gateway, what="gateway")
+    if stream is Stream.WATERMARK and len(parts) == 4:
+        return Key(site=site, stream=stream, gateway=gateway, mapper=check_name(parts[3], what="mapper"))
+    if stream is Stream.WATERMARK:
+        raise KeyExpressionError(key=key, reason="a watermark has a mapper")
     if len(parts) == 3:
         return Key(site=site, stream=stream, gateway=gateway)
     if stream not in _WITH_NODE or not _NODE.match(parts[3]) or int(parts[3]) > _MAX_NODE:

@@ -187,6 +187,16 @@ class GatewayStatus(Struct, frozen=True, kw_only=True):
     counters: dict[str, int]
     oldest_offset: _Offset = 1
     """See RecordBatch."""
+    watermarks: dict[str, int] = {}
+    """Mapper's name to the offset up to which it has said to have everything on disk."""
+
+
+class Watermark(Struct, frozen=True, kw_only=True):
+    """A mapper says how far it has all records of a gateway's journal on its own disk; published again every few seconds."""
+
+    mapper: Annotated[str, msgspec.Meta(min_length=1, max_length=63)]
+    journal: str
+    offset: _Count
 
 
 class BackpackLimits(Struct, frozen=True, kw_only=True):

@@ -3,6 +3,7 @@
 from gateway.journal_file.file import SESSIONS_PER_START, JournalFile, open_journal_file
 from gateway.journal_file.reader import JournalReader, RecordPage
 from gateway.journal_file.segments import SegmentBuilder
+from gateway.journal_file.upkeep import Retention, Upkeep
 from gateway.journal_file.writes import AuditEntry, Committed, JournalIdentity, JournalWrite, UplinkReport
 
 __all__ = [
@@ -14,7 +15,9 @@ __all__ = [
     "JournalReader",
     "JournalWrite",
     "RecordPage",
+    "Retention",
     "SegmentBuilder",
+    "Upkeep",
     "UplinkReport",
     "open_journal_file",
 ]

@@ -8,7 +8,8 @@ import json
 import secrets
 import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
@@ -26,6 +27,7 @@ from gateway.journal_file.schema import (
     unfit,
 )
 from gateway.journal_file.segments import SegmentBuilder, Windows
+from gateway.journal_file.upkeep import Retention, Upkeep, drop_old, give_back, merge_neighbours
 from gateway.journal_file.writes import JournalIdentity
 
 SESSIONS_PER_START = 16
@@ -63,6 +65,26 @@ class JournalFile:
             self._connection.execute(COMMIT, gathered.seal(segment=number, now_wall_ns=self._wall_clock()).row())
         self._has_failed = False
         self._newest_segment = number
+
+    def tidy(self, retention: Retention, watermarks: Mapping[str, int]) -> Upkeep:
+        """Take one short step of upkeep, and write down how far mappers have come.
+
+        Raises
+        ------
+        sqlite3.Error
+            The disk does not take it; the file holds what it held.
+        """
+        connection, now_wall_ns = self._connection, self._wall_clock()
+        for mapper, offset in watermarks.items():
+            connection.execute("INSERT OR REPLACE INTO watermarks VALUES (?, ?, ?)", (mapper, offset, now_wall_ns))
+        has_merged = merge_neighbours(connection)
+        done = drop_old(connection, retention, now_wall_ns=now_wall_ns)
+        has_given = give_back(connection)
+        return replace(done, has_more=done.has_more or has_merged or has_given)
+
+    def watermarks(self) -> dict[str, int]:
+        """Return how far each known mapper has said to have everything."""
+        return {mapper: int(offset) for mapper, offset in self._connection.execute("SELECT mapper, offset FROM watermarks")}
 
     def oldest_offset(self) -> int:
         """Return the first offset that the file still has, or will have."""

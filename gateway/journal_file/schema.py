@@ -65,6 +65,9 @@ _STATEMENTS = (
 END""",
 )
 
+_MAX_WAL_SIZE = 16 << 20
+"""Octets that the write-ahead log keeps when it begins anew."""
+
 _NO_SPACE_ADVICE = "free some space or choose another file with --journal"
 
 
@@ -86,6 +89,7 @@ def set_durable(connection: sqlite3.Connection) -> None:
     """Have every commit on disk when it returns, a power cut or not."""
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
+    connection.execute(f"PRAGMA journal_size_limit = {_MAX_WAL_SIZE}")
 
 
 def schema_version_of(connection: sqlite3.Connection, *, path: Path) -> int:

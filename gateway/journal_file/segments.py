@@ -14,7 +14,7 @@ from firmware_protocol.contract.records import (
     MissionRecord,
     encode_journal_record,
 )
-from gateway.journal_file.blobs import NO_PAIR, checksum, compress, pack_pairs, pack_records, pack_report, pair_key
+from gateway.journal_file.blobs import NO_PAIR, checksum, compress, pack_pairs, pack_records, pack_report, pair_key, unpack_records
 from gateway.journal_file.writes import AuditEntry, JournalWrite, UplinkReport
 
 MODE, MISSION = 1, 2
@@ -136,7 +136,7 @@ class SegmentBuilder:
             )
             for one in self._audits
         ]
-        contents = make_contents(self.bodies, self._pairs, b"".join(self._reports))
+        contents = _store(self.bodies, pack_pairs(self._pairs), b"".join(self._reports))
         has_encounters = self._max_end >= self._min_start
         return SealedSegment(
             segment=segment,
@@ -205,12 +205,21 @@ class SealedSegment:
         )
 
 
-def make_contents(bodies: list[bytes], pairs: Iterable[int], reports: bytes) -> Contents:
-    """Pack, compress where it pays, and sum up."""
-    packed = pack_records(bodies) if bodies else b""
-    stored_records, is_compressed = compress(packed)
+def join_contents(parts: Sequence[tuple[bytes, bytes, bytes]]) -> Contents:
+    """Return the contents of neighbours as those of one segment; each part is pairs, records and reports, not compressed.
+
+    Raises
+    ------
+    DamagedSegmentError
+        The records of one cannot be told apart.
+    """
+    bodies = [body for _, records, _ in parts if records for body in unpack_records(records)]
+    return _store(bodies, b"".join(pairs for pairs, _, _ in parts), b"".join(reports for _, _, reports in parts))
+
+
+def _store(bodies: list[bytes], packed_pairs: bytes, reports: bytes) -> Contents:
+    stored_records, is_compressed = compress(pack_records(bodies) if bodies else b"")
     stored_reports, are_compressed = compress(reports)
-    packed_pairs = pack_pairs(pairs)
     encoding = (RECORDS_COMPRESSED if is_compressed else 0) | (REPORTS_COMPRESSED if are_compressed else 0)
     crc = checksum(packed_pairs, stored_records, stored_reports)
     return Contents(pairs=packed_pairs, records=stored_records, reports=stored_reports, encoding=encoding, crc=crc)

@@ -1,0 +1,62 @@
+"""Records of the journal on their way out: publications of what was committed, and answers from the history. Nothing is encoded twice."""
+
+from collections.abc import Callable, Iterator
+
+import msgspec
+
+from firmware_protocol.contract.keys import Stream
+from firmware_protocol.contract.records import EncodedBatch, EncounterRecord, HistoryRequest, MissionRecord, ModeRecord
+from gateway.journal_file import Committed, JournalReader
+
+MAX_BATCH = 500
+"""Records of one publication, or of one reply of the history: 165 kB."""
+
+_STREAMS: dict[type, Stream] = {EncounterRecord: Stream.ENCOUNTERS, ModeRecord: Stream.MODES, MissionRecord: Stream.MISSION}
+
+
+def batches_of(committed: Committed, *, gateway: str) -> Iterator[tuple[Stream, EncodedBatch]]:
+    """Yield what was committed as batches of one kind each, and the stream of each."""
+    by_stream: dict[Stream, list[msgspec.Raw]] = {}
+    for record, body in zip(committed.records, committed.bodies, strict=True):
+        by_stream.setdefault(_STREAMS[type(record)], []).append(msgspec.Raw(body))
+    for stream, members in by_stream.items():
+        for at in range(0, len(members), MAX_BATCH):
+            yield (
+                stream,
+                EncodedBatch(
+                    gateway=gateway,
+                    journal=committed.records[0].journal,
+                    head_offset=committed.head_offset,
+                    oldest_offset=committed.oldest_offset,
+                    records=tuple(members[at : at + MAX_BATCH]),
+                ),
+            )
+
+
+def history_batches(
+    request: HistoryRequest, *, open_reader: Callable[[], JournalReader], gateway: str, journal: str
+) -> Iterator[EncodedBatch]:
+    """Yield at least one batch: an empty one tells how far the journal goes.
+
+    Raises
+    ------
+    sqlite3.Error
+        The journal cannot be read.
+    """
+    reader = open_reader()
+    try:
+        at, rest = request.from_offset, request.limit
+        while rest > 0:
+            page = reader.read_page(from_offset=at, limit=min(rest, MAX_BATCH))
+            yield EncodedBatch(
+                gateway=gateway,
+                journal=journal,
+                head_offset=page.head_offset,
+                oldest_offset=page.oldest_offset,
+                records=tuple(map(msgspec.Raw, page.bodies)),
+            )
+            at, rest = page.first_offset + len(page.bodies), rest - len(page.bodies)
+            if not page.bodies or at > page.head_offset:
+                return
+    finally:
+        reader.close()
