@@ -30,7 +30,7 @@ def margin_of(*, beacon_period_ms: int, error_ns: int, n_bridged: int = 0) -> in
     Parameters
     ----------
     n_bridged
-        So many lost beacons in a row, of both sides, are bridged as well.
+        So many beacons lost in a row are bridged as well.
     """
     # 1.15 beacon periods: one lost beacon and its jitter (Encounternet joins gaps below a pulse period and its slack, Rutz et al. 2015).
     return max(min(error_ns, MAX_ERROR_MARGIN_NS), (1 + n_bridged) * beacon_period_ms * NS_PER_MS * 115 // 200)
@@ -57,6 +57,8 @@ class EncounterMerger:
         meetings = self._meetings.get(pair)
         if meetings is None:
             meetings = self._meetings[pair] = []
+        if report.period_ns and not report.is_ongoing:
+            self._learn(meetings[-1] if meetings else None, report)
         begin, end = _overlap(meetings, report.t_start_ns - report.margin_ns, report.t_end_ns + report.margin_ns)
         if begin == end:
             meeting = meeting_of(report, boot=self.issuer.boot, sequence=self.issuer.take_sequence())
@@ -65,11 +67,8 @@ class EncounterMerger:
         if end - begin > 1:
             return self._join(pair, meetings, report, begin, end)
         meeting = meetings[begin]
-        was_reciprocal = meeting.side_a is not None and meeting.side_b is not None
         if not meeting.take(report):
             return []
-        if not was_reciprocal and meeting.period_ns and meeting.side_a is not None and meeting.side_b is not None:
-            self.loss.observe(meeting.gap())
         meeting.revision += 1
         return [meeting.record(pair, issuer=self.issuer, guesses=self.loss.now)]
 
@@ -110,6 +109,12 @@ class EncounterMerger:
 
     def __len__(self) -> int:
         return sum(len(meetings) for meetings in self._meetings.values())
+
+    def _learn(self, latest: Meeting | None, report: SideReport) -> None:
+        """Learn from a report, and from the pair's latest encounter before it, how many beacons are lost."""
+        side = None if latest is None else latest.side_a if report.node < report.peer else latest.side_b
+        gap_ns = 0 if side is None else report.t_start_ns - side.t_end_ns
+        self.loss.observe(duration=(report.t_end_ns - report.t_start_ns) / report.period_ns, gap=gap_ns / report.period_ns)
 
     def _join(self, pair: _Pair, meetings: list[Meeting], report: SideReport, begin: int, end: int) -> list[EncounterRecord]:
         """Make one encounter of several that a report connects."""

@@ -54,6 +54,9 @@ _MAX_AHEAD_MS = 1_000
 _CLOCK_PATIENCE_NS = 5 * NS_PER_S
 """A backpack whose clock could not be settled for so long (it hears nothing) is believed as it is, with a wide error."""
 
+_ABSENT_AFTER_NS = 120 * NS_PER_S
+"""A biobot that was last heard so long before another is out of range of this gateway: only the other reports what the two share."""
+
 _RECALL_SLACK_NS = 10 * NS_PER_S
 """Encounters this far around a late report, beside twice its margin, are brought back: more than the error of any clock."""
 
@@ -328,8 +331,9 @@ class Intake:
             self._health.count("encounter.impossible")
             return []
         t_start_ns, t_end_ns, error_ns = clock.read_span(entry.start_ms, end_ms)
-        period_ms = self._period_ms(node, self._nodes.find(entry.peer))
-        margin_ns = margin_of(beacon_period_ms=period_ms, error_ns=error_ns, n_bridged=self._merger.loss.now.n_bridged)
+        peer = self._nodes.find(entry.peer)
+        period_ms = self._period_ms(node, peer)
+        margin_ns = margin_of(beacon_period_ms=period_ms, error_ns=error_ns, n_bridged=self._n_bridged(node, peer))
         report = SideReport(
             node=header.node,
             peer=entry.peer,
@@ -366,12 +370,18 @@ class Intake:
         if records:
             self._merger.restore(records, margin=self._margin_of_record, period=lambda record: self._period_ms_of(record) * NS_PER_MS)
 
+    def _n_bridged(self, node: Node | None, peer: Node | None) -> int:
+        """Return how many lost beacons in a row are bridged: more where the other's reports are not to be expected here."""
+        guesses = self._merger.loss.now
+        is_alone = node is None or peer is None or abs(node.last_heard_ns - peer.last_heard_ns) > _ABSENT_AFTER_NS
+        return guesses.n_bridged_alone if is_alone else guesses.n_bridged
+
     def _period_ms_of(self, record: EncounterRecord) -> int:
         return self._period_ms(self._nodes.find(record.node_a), self._nodes.find(record.node_b))
 
     def _margin_of_record(self, record: EncounterRecord) -> int:
         error_ns = max((side.error_ns or record.error_ns for side in record.sides), default=record.error_ns)
-        n_bridged = self._merger.loss.now.n_bridged
+        n_bridged = self._n_bridged(self._nodes.find(record.node_a), self._nodes.find(record.node_b))
         return margin_of(beacon_period_ms=self._period_ms_of(record), error_ns=error_ns, n_bridged=n_bridged)
 
     def _mode_report(self, uplink: Status | StimulateReply, *, header: UplinkHeader, clock: NodeClock) -> ModeReport | None:

@@ -138,7 +138,7 @@ class Meeting:
             is_ongoing = not (self.is_final_b if a is None else self.is_final_a)
             if not period_ns:
                 return one.t_start_ns, one.t_end_ns, one.error_ns or 0, is_ongoing
-            earlier, half = guesses.of_one
+            earlier, half = guesses.of_one((one.t_end_ns - one.t_start_ns) / period_ns)
             shift_ns = int(earlier * period_ns)
             error_ns = (one.error_ns or 0) + int(half * period_ns)
             return one.t_start_ns - shift_ns, one.t_end_ns if is_ongoing else one.t_end_ns + shift_ns, error_ns, is_ongoing
@@ -153,7 +153,7 @@ class Meeting:
         start_ns -= int(earlier * period_ns)
         if not is_ongoing:
             both_final = self.is_final_a and self.is_final_b
-            later, half_end = guesses.between(abs(apart_ns) / period_ns) if both_final else guesses.of_one
+            later, half_end = guesses.between(abs(apart_ns) / period_ns) if both_final else guesses.of_short
             end_ns += int(later * period_ns)
             half = max(half, half_end)
         return start_ns, end_ns, error_ns + int(half * period_ns), is_ongoing

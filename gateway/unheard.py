@@ -30,8 +30,10 @@ _LOWEST = 0.004
 """An estimate below this, one lost beacon in 250, counts as no loss."""
 
 _N_STEPS = 32
-_SPLIT = 1e-3
-_MAX_BRIDGED = 4
+_SHORT = 3.0
+_SPLIT = 3e-4
+_MAX_BRIDGED = 6
+_LOST_GAP, _LONGEST_GAP, _FADING = 1.15, 5.5, 0.999
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,17 +42,26 @@ class Guesses:
 
     Parameters
     ----------
-    of_one
-        Where one side reported.
+    of_short, of_alone
+        Where one side reported, for less than three periods or for longer: then the other is out of range or silent, else it would have
+        heard a beacon, and says nothing of what was missed before.
     of_both
         Where both did, by how much later the second came, in 32nds of a period.
-    n_bridged
-        So many lost beacons in a row do not end an encounter: with fewer, a beacon in 500 would find it torn apart.
+    n_bridged, n_bridged_alone
+        So many lost beacons in a row of each side do not end an encounter, or of one side where there is no other: with fewer, more than
+        three beacons in 10,000 would find it torn apart.
     """
 
-    of_one: Guess
+    loss: float
+    of_short: Guess
+    of_alone: Guess
     of_both: tuple[Guess, ...]
     n_bridged: int
+    n_bridged_alone: int
+
+    def of_one(self, duration: float) -> Guess:
+        """Return the guess where only one side reported, for so many periods."""
+        return self.of_short if duration < _SHORT else self.of_alone
 
     def between(self, gap: float) -> Guess:
         """Return the guess where the two sides' first beacons are ``gap`` periods apart."""
@@ -66,11 +77,16 @@ def n_missed(gap: float) -> int:
 @cache
 def guesses(loss: float) -> Guesses:
     """Make the guesses for a share of lost beacons, from 0 up to, not including, 1."""
-    n_bridged = 0
-    while loss ** (2 * n_bridged + 2) >= _SPLIT and n_bridged < _MAX_BRIDGED:
-        n_bridged += 1
+    n_bridged, n_alone = (next((n for n in range(_MAX_BRIDGED) if loss ** (k * (n + 1)) < _SPLIT), _MAX_BRIDGED) for k in (2, 1))
     of_both = tuple(_guess(loss, later=min(1.0, (step + 0.5) / _N_STEPS)) for step in range(_N_STEPS + 1))
-    return Guesses(of_one=_guess(loss, later=None), of_both=of_both, n_bridged=n_bridged)
+    return Guesses(
+        loss=loss,
+        of_short=_guess(loss * loss, later=None),  # beacons of both were missed before
+        of_alone=_guess(loss, later=None),
+        of_both=of_both,
+        n_bridged=n_bridged,
+        n_bridged_alone=n_alone,
+    )
 
 
 def _guess(loss: float, *, later: float | None) -> Guess:
@@ -105,20 +121,23 @@ class BeaconLoss:
 
     Notes
     -----
-    When a side has heard its first beacon, each beacon that it hears or misses until its own first one is a trial. What has one side only
-    says nothing: the other's report may be late. Older trials fade, by half in about 350 encounters.
+    A backpack ends its report where a beacon is missing and begins another when it hears the next, so the gaps between reports of
+    one side tell what was lost. Two that part and meet again within some periods count as well, but these are few beside the beacons
+    heard. Where backpacks bridge lost beacons themselves, these are not seen, and the share is that of the gaps that are left. Older
+    beacons fade, by half in about 700 reports.
     """
 
     now: Guesses = field(default_factory=lambda: guesses(_LEVELS[1]))
     share: float = 0.01
-    _missed: float = 0.2
-    _trials: float = 20.0
+    _missed: float = 2.0
+    _trials: float = 200.0
 
-    def observe(self, gap: float) -> None:
-        """Take how far apart the first beacons of an encounter's two sides are [beacon periods]."""
-        missed = min(n_missed(gap), _MAX_BRIDGED + 1)  # a side that began to hear much later was not merely unlucky
-        self._missed = self._missed * 0.998 + missed
-        self._trials = self._trials * 0.998 + missed + 1
+    def observe(self, *, duration: float, gap: float) -> None:
+        """Take a final report that lasted so long, and how long before it the side had reported before [beacon periods]; 0: unknown."""
+        missed = round(gap) - 1 if _LOST_GAP < gap < _LONGEST_GAP else 0
+        self._missed = self._missed * _FADING + missed
+        self._trials = self._trials * _FADING + missed + round(duration) + 1
         self.share = self._missed / self._trials
         level = 0.0 if self.share < _LOWEST else _LEVELS[min(bisect_left(_LEVELS, self.share), len(_LEVELS) - 1)]
-        self.now = guesses(level)
+        if level != self.now.loss:
+            self.now = guesses(level)
