@@ -45,9 +45,7 @@ def _fill(path: Path, bodies: list[bytes], columns: str) -> float:
 
 def _record(number: int) -> EncounterRecord:
     start_ns, end_ns = Nanoseconds(number * 1_000_000), Nanoseconds(number * 1_000_000 + 200_000_000)
-    sides = tuple(
-        EncounterSide(node=NodeId(node), t_start_ns=start_ns, t_end_ns=end_ns, rssi_dbm=RssiDbm(-60)) for node in (1, 2)
-    )
+    sides = tuple(EncounterSide(node=NodeId(node), t_start_ns=start_ns, t_end_ns=end_ns, rssi_dbm=RssiDbm(-60)) for node in (1, 2))
     return EncounterRecord(
         gateway="gateway1", journal="0123abcd", offset=number + 1, boot=BootId(1), sequence=number, revision=1, node_a=NodeId(1),
         wall_anchor_ns=Nanoseconds(1_700_000_000_000_000_000), node_b=NodeId(2), t_start_ns=start_ns, t_end_ns=end_ns,

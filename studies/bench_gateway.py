@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -115,7 +116,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rate", type=float, default=1000, help="encounters a second of the run for latency (default: %(default)g)")
     parser.add_argument("--seconds", type=float, default=30, help="that it lasts; 0: none (default: %(default)g)")
     parser.add_argument("--singles", type=float, default=5e4, help="at full speed in messages of one entry; 0: none (default: %(default)g)")
-    parser.add_argument("--baseline", type=Path, metavar="TREE", help="a work tree of an earlier commit whose gateway runs beside this one's")
+    parser.add_argument(
+        "--baseline", type=Path, metavar="TREE", help="a work tree of an earlier commit whose gateway runs beside this one's"
+    )
     parser.add_argument("--out", type=Path, help="keep files and logs here (default: a directory that is removed)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all numbers there too")
     options = parser.parse_args(arguments)
@@ -185,8 +188,6 @@ def _run(out: Path, load: list[str], *, source: Path | None = None, watches_clos
 
 def _follow(swarm: Part, gateway: Part, mapper: Part) -> tuple[dict[str, Any], list[tuple[float, float, float]]]:
     """Return what the load says in the end, and memory in its course, ever more rarely looked at."""
-    import threading
-
     result: list[dict[str, Any]] = []
     hearing = threading.Thread(target=lambda: result.append(swarm.hear()), daemon=True)
     hearing.start()

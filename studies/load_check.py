@@ -1,4 +1,4 @@
-"""Is every meeting of a timetable in the mapper's store, once and unaltered; and how long did each report take to get there?"""
+"""Tell whether every meeting of a timetable is in the mapper's store, once and unaltered, and how long each report took to get there."""
 
 import sqlite3
 from dataclasses import dataclass

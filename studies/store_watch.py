@@ -74,8 +74,14 @@ async def _serve(options: argparse.Namespace) -> None:
             usage = resource.getrusage(resource.RUSAGE_SELF)
             change = records.progress.change
             reached_ns = next((t_ns for t_ns, at in reversed(watch.seen) if at >= change), time.monotonic_ns())
-            facts: dict[str, Any] = {"change": change, "encounters": records.progress.n_encounters, "cpu_s": usage.ru_utime + usage.ru_stime}
-            _say(facts | {"reached_ns": reached_ns, "counters": {**intake.counters, **bus.counters}, "now_s": time.monotonic_ns() / NS_PER_S})
+            facts: dict[str, Any] = {
+                "change": change,
+                "encounters": records.progress.n_encounters,
+                "cpu_s": usage.ru_utime + usage.ru_stime,
+            }
+            _say(
+                facts | {"reached_ns": reached_ns, "counters": {**intake.counters, **bus.counters}, "now_s": time.monotonic_ns() / NS_PER_S}
+            )
         elif question == "save":
             np.save(options.store.with_suffix(".seen.npy"), np.array(watch.seen, dtype=np.int64))
             _say({"saved": True})
