@@ -40,7 +40,7 @@ class RecordRows:
         Parameters
         ----------
         records
-            Number of the gateway, kind, and the record, in the order in which they came. One of another kind than its identity's is left out.
+            Number of the gateway, kind, and the record, in the order in which they came. One of another kind than before is left out.
         change
             Number of the last change before these.
 

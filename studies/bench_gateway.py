@@ -175,7 +175,7 @@ def _run(out: Path, load: list[str], *, source: Path | None = None, watches_clos
         facts["stored_s"] = (last["reached_ns"] - facts["begun_ns"]) / 1e9
         facts |= {f"{name}_us": seconds / facts["entries"] * 1e6 for name, seconds in cpu.items()}
         facts["load_us"] = facts["cpu_s"] / facts["entries"] * 1e6
-        facts["counters"] = last["counters"]
+        facts |= {"counters": last["counters"], "gateways": last["gateways"]}
         mapper.ask("save")
         swarm.tell("end")
     verdict = check_store(store, out / "timetable.npz", seen=store.with_suffix(".seen.npy") if watches_closely else None)

@@ -15,6 +15,9 @@ _CHUNK: Final = 20_000
 _TOLERANCE_NS: Final = 150 * NS_PER_MS
 """A backpack's clock is known at least this well, and a pair meets again much later."""
 
+_RATE_NS: Final = NS_PER_MS // 10
+"""A meeting's duration is told to the millisecond, and stretched by the rate of its backpack's clock."""
+
 IntArray = npt.NDArray[np.int64]
 
 
@@ -128,7 +131,7 @@ def _read(store: Path, *, duration_ns: int, n_sides: int) -> tuple[IntArray, tup
                 if record.is_void:
                     continue
                 is_whole = len(record.sides) == n_sides and record.is_reciprocal == (n_sides == 2)
-                n_altered += not (is_whole and all(side.t_end_ns - side.t_start_ns == duration_ns for side in record.sides))
+                n_altered += not (is_whole and all(abs(side.t_end_ns - side.t_start_ns - duration_ns) <= _RATE_NS for side in record.sides))
                 rows.append((change, record.node_a, record.node_b, record.t_start_ns))
             if rows:
                 parts.append(np.array(rows, dtype=np.int64))

@@ -13,8 +13,6 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
 import numpy as np
 
 from firmware_protocol.units import NS_PER_S
@@ -65,7 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 async def _serve(options: argparse.Namespace) -> None:
     records = await StoreThread.open(options.store)
     bus = await Bus.open(site="local", connect=(options.endpoint,), listen=())
-    intake = Intake(bus=bus, records=records, fleet=Fleet(), changes=Changes())
+    fleet = Fleet()
+    intake = Intake(bus=bus, records=records, fleet=fleet, changes=Changes())
     watch = ProgressWatch(records, pause_s=options.pause_ms / 1000)
     running = asyncio.ensure_future(intake.run())
     _say({"ready": True})
@@ -74,13 +73,16 @@ async def _serve(options: argparse.Namespace) -> None:
             usage = resource.getrusage(resource.RUSAGE_SELF)
             change = records.progress.change
             reached_ns = next((t_ns for t_ns, at in reversed(watch.seen) if at >= change), time.monotonic_ns())
-            facts: dict[str, Any] = {
-                "change": change,
-                "encounters": records.progress.n_encounters,
-                "cpu_s": usage.ru_utime + usage.ru_stime,
-            }
+            views = fleet.gateways(now_ns=time.monotonic_ns())
             _say(
-                facts | {"reached_ns": reached_ns, "counters": {**intake.counters, **bus.counters}, "now_s": time.monotonic_ns() / NS_PER_S}
+                {
+                    "change": change,
+                    "encounters": records.progress.n_encounters,
+                    "cpu_s": usage.ru_utime + usage.ru_stime,
+                    "reached_ns": reached_ns,
+                    "counters": {**intake.counters, **bus.counters},
+                    "gateways": {view.name: view.status.counters for view in views if view.status is not None},
+                }
             )
         elif question == "save":
             np.save(options.store.with_suffix(".seen.npy"), np.array(watch.seen, dtype=np.int64))
@@ -92,7 +94,7 @@ async def _serve(options: argparse.Namespace) -> None:
     await records.aclose()
 
 
-def _say(facts: dict[str, Any]) -> None:
+def _say(facts: dict[str, object]) -> None:
     print(json.dumps(facts), flush=True)
 
 
