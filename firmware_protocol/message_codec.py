@@ -40,6 +40,9 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
 
+EncounterFields: TypeAlias = tuple[int, int, int, int, bool, int | None]
+"""Peer, start [ms], duration [ms], RSSI [dBm], whether it is ongoing, and path [mm] of an entry of an encounter batch."""
+
 UplinkFields: TypeAlias = tuple[Values, Values, tuple[Values, ...] | bytes]
 """Header, fields, and entries or text of an uplink message, as its layout has them; an empty tuple where it has neither."""
 
@@ -78,8 +81,11 @@ def encode_uplink(header: UplinkHeader, message: Uplink) -> bytes:
 def decode_uplink(payload: bytes) -> tuple[UplinkHeader, Uplink] | MessageFault:
     """Return header and message of a radio payload from a backpack, or why it is none."""
     fields = decode_uplink_fields(payload)
-    if not isinstance(fields, tuple):
-        return fields
+    return build_uplink(fields) if isinstance(fields, tuple) else fields
+
+
+def build_uplink(fields: UplinkFields) -> tuple[UplinkHeader, Uplink]:
+    """Return header and message of what ``decode_uplink_fields`` returned."""
     (kind, _, node, boot, sequence, sent_ms), values, rest = fields
     header = UplinkHeader(node=NodeId(node), boot=BootId(boot), sequence=sequence, sent_ms=Milliseconds(sent_ms))
     return header, _UPLINK_BUILDERS[kind](values, rest)
@@ -103,6 +109,29 @@ def decode_uplink_fields(payload: bytes) -> UplinkFields | MessageFault:
         values, rest = body
         return header, values, rest
     return _FAULTS[body]
+
+
+def read_encounters(fields: UplinkFields) -> list[EncounterFields] | None:
+    """Return the entries of what ``decode_uplink_fields`` returned, as plain numbers; None where that is no encounter batch."""
+    kind, entries = fields[0][0], cast("tuple[Values, ...]", fields[2])
+    if kind == _BATCH_KIND:
+        return [
+            (peer, start_ms, (high & _DURATION_HIGH_BITS) << 16 | low, rssi, high >= _ONGOING_BIT, None)
+            for peer, start_ms, high, low, rssi in entries
+        ]
+    if kind == _BATCH_WITH_PATHS_KIND:
+        return [
+            (
+                peer,
+                start_ms,
+                (high & _DURATION_HIGH_BITS) << 16 | low,
+                rssi,
+                high >= _ONGOING_BIT,
+                None if path_mm == _PATH_UNKNOWN else path_mm,
+            )
+            for peer, start_ms, high, low, rssi, path_mm in entries
+        ]
+    return None
 
 
 def encode_downlink(sequence: int, message: Downlink) -> bytes:
@@ -330,6 +359,7 @@ def _kind_of(codec: LayoutCodec) -> int:
     return codec.layout.kind
 
 
+_BATCH_KIND, _BATCH_WITH_PATHS_KIND = _kind_of(_ENCOUNTERS), _kind_of(_ENCOUNTERS_WITH_PATHS)
 _UPLINK_READERS = {_kind_of(codec): _OPEN_READERS.get(name) or _fields_reader(codec) for name, codec in _UPLINKS.items()}
 _UPLINK_BUILDERS = {_kind_of(codec): _OPEN_BUILDERS.get(name) or _fields_builder(codec.layout) for name, codec in _UPLINKS.items()}
 _UPLINK_WRITERS = {

@@ -222,19 +222,23 @@ class Coordinator:
             self._wake.set()
 
     async def _write(self, transport: Transport) -> None:
+        loop = asyncio.get_running_loop()
         while True:
             if (safe := self._receipts.take_ready()) is not None:  # here, so that all payloads of one commit share one acknowledgement
                 self._host.confirm(safe)
             for frame in self._host.take_frames():
                 await transport.write(frame)
             deadline_ns = self._next_deadline_ns()
-            wait_s = None if deadline_ns is None else max(0.0, (deadline_ns - time.monotonic_ns()) / NS_PER_S)
+            # A timer that wakes: a timeout's context would cost as much as ten messages.
+            timer = None if deadline_ns is None else loop.call_later((deadline_ns - time.monotonic_ns()) / NS_PER_S, self._wake.set)
             try:
-                async with asyncio.timeout(wait_s):
-                    await self._wake.wait()
-            except TimeoutError:
-                self._handle_deadlines(transport)
+                await self._wake.wait()
+            finally:
+                if timer is not None:
+                    timer.cancel()
             self._wake.clear()
+            if deadline_ns is not None and time.monotonic_ns() >= deadline_ns:
+                self._handle_deadlines(transport)
 
     def _next_deadline_ns(self) -> int | None:
         deadlines = [self._host.next_deadline_ns(), self._reopen_at_ns]
@@ -262,10 +266,11 @@ class Coordinator:
     def _take_events(self, events: list[HostEvent], *, received_ns: int = 0) -> None:
         if events and not self._host.is_open and self._reopen_at_ns is None:
             self._allow_opening(time.monotonic_ns())  # it is slow to open, and alive
+        last: asyncio.Future[None] | None = None
         for event in events:
             match event:
                 case PayloadHeard():
-                    self._take_payload(event, received_ns=received_ns)
+                    last = self._take_payload(event, received_ns=received_ns) or last
                 case SendSettled(ticket=ticket, status=status):
                     self._settle(ticket, outcome_of(status))
                 case HostOpened():
@@ -278,8 +283,14 @@ class Coordinator:
                     _SAID[level](f"dongle.{name}", radio=self.radio, text=text)
                 case HostLost():
                     self._lost(event)
+        if last is not None:  # the others are done before: writes are committed in their order
+            last.add_done_callback(self._wake_up)
 
-    def _take_payload(self, heard: PayloadHeard, *, received_ns: int) -> None:
+    def _wake_up(self, _: "asyncio.Future[None]") -> None:
+        self._wake.set()
+
+    def _take_payload(self, heard: PayloadHeard, *, received_ns: int) -> "asyncio.Future[None] | None":
+        """Hand a payload up; return what it waits for, where nothing before it waits for the same."""
         self._health.count("radio.messages_in")
         received = heard.received
         message = RadioMessage(
@@ -290,9 +301,7 @@ class Coordinator:
             payload=received.payload,
             received_ns=received_ns,
         )
-        waited = self._receipts.add(heard.receipt, self._hand_up(message))
-        if waited is not None:
-            waited.add_done_callback(lambda _: self._wake.set())
+        return self._receipts.add(heard.receipt, self._hand_up(message))
 
     def _hand_up(self, message: RadioMessage) -> "asyncio.Future[None] | None":
         """Hand a payload up. One that the gateway fails at is no reason to keep the dongle repeating it, nor to give the dongle up."""

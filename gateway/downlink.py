@@ -74,6 +74,11 @@ class DownlinkSender:
             raise refusal
         return futures
 
+    def radio_of(self, node: NodeId) -> str | None:
+        """Return the radio over which a biobot is reached, None where it was never heard."""
+        known = self._nodes.find(node)
+        return None if known is None else known.radio
+
     def n_pending(self, node: NodeId) -> int:
         """Return how many payloads wait for their fate at the radio of a biobot."""
         known = self._nodes.find(node)

@@ -7,8 +7,10 @@ lost, or, where sensing is continuous, the error of the clock (at most 0.1 s).
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
+from itertools import islice
 
 from firmware_protocol.contract.records import EncounterRecord
 from firmware_protocol.units import NS_PER_MS, NodeId
@@ -20,6 +22,9 @@ __all__ = ["MAX_ERROR_MARGIN_NS", "EncounterMerger", "SideReport", "margin_of"]
 
 MAX_ERROR_MARGIN_NS = 100 * NS_PER_MS
 """A clock that is known badly widens a margin no further: separate meetings must not be joined for want of a time sync."""
+
+_MAX_EXCESS = 20_000
+"""Of too many encounters so many are looked at in one go: about two milliseconds."""
 
 _Pair = tuple[NodeId, NodeId]
 
@@ -45,6 +50,8 @@ class EncounterMerger:
     """How many beacons are lost, as far as the encounters tell."""
     _meetings: dict[_Pair, list[Meeting]] = field(default_factory=dict)
     """Of each pair, in the order of their covers, which do not overlap."""
+    _order: deque[tuple[_Pair, Meeting]] = field(default_factory=deque)
+    """All of them in the order in which they were told of, and those that became a part of another one since."""
 
     def merge(self, report: SideReport) -> list[EncounterRecord]:
         """Take a report; return the records it brings about, none where it says nothing new.
@@ -63,6 +70,7 @@ class EncounterMerger:
         if begin == end:
             meeting = meeting_of(report, boot=self.issuer.boot, sequence=self.issuer.take_sequence())
             meetings.insert(begin, meeting)
+            self._order.append((pair, meeting))
             return [meeting.record(pair, issuer=self.issuer, guesses=self.loss.now)]
         if end - begin > 1:
             return self._join(pair, meetings, report, begin, end)
@@ -95,20 +103,47 @@ class EncounterMerger:
             begin, end = _overlap(meetings, meeting.cover_start_ns, meeting.cover_end_ns)
             if all(known.identity != meeting.identity for known in meetings[begin:end]):
                 meetings.insert(begin, meeting)
+                self._order.append(((record.node_a, record.node_b), meeting))
 
-    def forget_before(self, t_ns: int) -> None:
-        """Drop what ended before ``t_ns``."""
-        for pair, meetings in list(self._meetings.items()):
-            if meetings and meetings[0].cover_end_ns >= t_ns:
+    def end_of_oldest(self, limit: int) -> int:
+        """Return before when encounters end that are more than ``limit``, those told of first [ns]; 0: there are no more."""
+        n_old = min(len(self._order) - limit, _MAX_EXCESS)
+        return max((meeting.cover_end_ns for _, meeting in islice(self._order, max(n_old, 0))), default=-1) + 1
+
+    def forget_before(self, t_ns: int, *, spare: Collection[_Pair] = (), limit: int | None = None) -> bool:
+        """Drop what ended before ``t_ns``, in the order in which it was told of; what stands behind a later one waits for that one.
+
+        Parameters
+        ----------
+        spare
+            Pairs of which nothing is dropped now.
+        limit
+            Look at no more than so many; None: at all.
+
+        Returns
+        -------
+        bool
+            There may be more.
+        """
+        order = self._order
+        n_left = len(order) if limit is None else min(limit, len(order))
+        while n_left and order[0][1].cover_end_ns < t_ns:
+            n_left -= 1
+            pair, meeting = entry = order.popleft()
+            if pair in spare:
+                order.append(entry)
                 continue
-            recent = [meeting for meeting in meetings if meeting.cover_end_ns >= t_ns]
-            if recent:
-                self._meetings[pair] = recent
-            else:
-                del self._meetings[pair]
+            meetings = self._meetings.get(pair, [])
+            for at, known in enumerate(meetings):
+                if known is meeting:
+                    del meetings[at]
+                    break
+            if not meetings:
+                self._meetings.pop(pair, None)
+        return not n_left and bool(order) and order[0][1].cover_end_ns < t_ns
 
     def __len__(self) -> int:
-        return sum(len(meetings) for meetings in self._meetings.values())
+        return len(self._order)
 
     def _learn(self, latest: Meeting | None, report: SideReport) -> None:
         """Learn from a report, and from the pair's latest encounter before it, how many beacons are lost."""

@@ -13,6 +13,9 @@ from gateway.health import Health
 from gateway.nodes import Node, NodeBook
 
 _POLL_S = 0.05
+_CALM_POLL_S = 0.25
+"""While nothing is lacking; what a backpack says that is not known wakes."""
+
 _URGENT_PAUSE_NS = NS_PER_S // 4
 """Pause between two time sync requests while a clock is not known well: its backpack's reports are not taken before."""
 
@@ -23,6 +26,7 @@ _SILENT_AFTER_NS = 120 * NS_PER_S
 _MAX_ROUSED = 3
 """So often is a biobot asked that an earlier process knew and this one has not heard yet."""
 
+_NEVER = (-1, 0)
 _MAX_PENDING = 4
 """Nothing is asked while this many payloads are under way at the radio: a request that waits in a queue says less about the clock."""
 
@@ -51,16 +55,19 @@ class Inquirer:
         while True:
             now_ns = time.monotonic_ns()
             # Those that wait longest come first, so that a crowd that starts together is asked in turn.
-            for node in sorted(self._nodes.all(), key=lambda node: self._asked_time.get(node.node, (0, 0))[1]):
+            lacks_nothing = True
+            for node in sorted(self._nodes.all(), key=lambda node: self._asked_time.get(node.node, _NEVER)[1]):
+                is_settled = self._clocks.is_settled(node=node.node, boot=node.boot)
+                lacks_nothing &= is_settled and node.is_introduced
                 if self._sender.n_pending(node.node) >= _MAX_PENDING:
                     continue
                 if not node.last_heard_ns:
                     self._rouse(node, now_ns)
                 elif node.last_heard_ns >= now_ns - _SILENT_AFTER_NS:
-                    self._ask(node, now_ns)
+                    self._ask(node, now_ns, is_settled=is_settled)
             self._wake.clear()
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_POLL_S):
+                async with asyncio.timeout(_CALM_POLL_S if lacks_nothing else _POLL_S):
                     await self._wake.wait()
 
     def _rouse(self, node: Node, now_ns: int) -> None:
@@ -73,10 +80,9 @@ class Inquirer:
             self._roused[node.node] = (n_asked + 1, now_ns)
             self._health.count("inquiry.hello")
 
-    def _ask(self, node: Node, now_ns: int) -> None:
-        boot, asked_ns = self._asked_time.get(node.node, (-1, 0))
+    def _ask(self, node: Node, now_ns: int, *, is_settled: bool) -> None:
+        boot, asked_ns = self._asked_time.get(node.node, _NEVER)
         try:
-            is_settled = self._clocks.is_settled(node=node.node, boot=node.boot)
             pause_ns = self._sync_period_ns if is_settled else _URGENT_PAUSE_NS
             if boot != node.boot or asked_ns < now_ns - pause_ns:
                 token = self._clocks.begin_exchange(node=node.node, now_ns=time.monotonic_ns())

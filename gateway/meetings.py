@@ -5,7 +5,7 @@ are sensed by beacons, the record's own interval is wider, for the two were near
 (``unheard``).
 """
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from firmware_protocol.contract.records import EncounterRecord, EncounterSide
 from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
@@ -17,8 +17,7 @@ _Reach = tuple[int, bool]
 """How far a report goes, and whether it was final."""
 
 
-@dataclass(slots=True, kw_only=True)
-class SideReport:
+class SideReport(Struct, kw_only=True, gc=False):
     """What one biobot says of a meeting with another, on the gateway's clock. Not changed by who takes it.
 
     Parameters
@@ -45,8 +44,7 @@ class SideReport:
     path_mm: int | None = None
 
 
-@dataclass(slots=True, kw_only=True)
-class Meeting:
+class Meeting(Struct, kw_only=True, gc=False):
     """An encounter: its identity, its last revision, and what is known of it; the sum of its reports in any order.
 
     Parameters

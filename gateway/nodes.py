@@ -143,6 +143,11 @@ class NodeBook:
             Tick of that boot at which the radio took this copy of the message.
         """
         known = self._nodes.get(node)
+        if known is not None and (known.boot, known.radio, known.address) == (boot, radio, address) and known.sent_ms <= sent_ms:
+            self._whereabouts.stay(node, radio=radio, heard_ns=now_ns)  # as most messages are
+            known.sent_ms, known.rssi_dbm, known.lqi = sent_ms, rssi_dbm, lqi
+            known.last_heard_ns, known.last_heard_wall_ns = now_ns, now_wall_ns
+            return known, False
         place = Place(radio=radio, address=address, heard_ns=now_ns)
         if known is not None and (known.sent_ms > sent_ms if known.boot == boot else not _is_later_life(known, boot, now_ns=now_ns)):
             self._whereabouts.suspect(node, place)

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from enum import Enum
 
+from msgspec import Struct
+
 from firmware_protocol.envelope import RadioStatus
 from firmware_protocol.units import RSSI_UNKNOWN, RssiDbm, ShortAddress
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RadioMessage:
+class RadioMessage(Struct, frozen=True, kw_only=True, gc=False):
     """A radio payload and the circumstances of its arrival."""
 
     radio: str

@@ -35,6 +35,9 @@ class SequenceWindow:
 
     def add(self, number: int) -> None:
         """Take ``number``."""
+        if number == self.next and not self._above and not self.is_fresh:
+            self.next = number + 1
+            return
         if self.is_fresh:
             # Those up to 32 below may yet come, also from before a wrap of the 16 bits: then their full numbers are negative.
             self.is_fresh, self.next = False, number - ACKNOWLEDGE_SPAN

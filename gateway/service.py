@@ -39,9 +39,6 @@ _log = EventLog(__name__)
 _SAY = {Level.DEBUG: _log.debug, Level.INFO: _log.info, Level.WARNING: _log.warning, Level.ERROR: _log.error}
 
 _STATUS_PERIOD_S = 1.0
-_FORGET_EVERY = 10
-"""Old encounters leave memory every so many status periods."""
-
 _DRAIN_TIMEOUT_S = 5.0
 _CANCEL_AGAIN_S = 0.5
 
@@ -237,7 +234,6 @@ class Service:
 
     async def _publish_status(self, bus: Bus, intake: Intake) -> None:
         journal = self._journal
-        n_periods = 0
         while True:
             bus.publish_gateway_status(
                 GatewayStatus(
@@ -253,9 +249,7 @@ class Service:
                 )
             )
             await asyncio.sleep(_STATUS_PERIOD_S)
-            n_periods += 1
-            if n_periods % _FORGET_EVERY == 0:
-                intake.forget_old(now_ns=time.monotonic_ns())
+            intake.forget_old(now_ns=time.monotonic_ns())
 
 
 async def run_gateway(config: GatewayConfig) -> None:

@@ -8,14 +8,15 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 from firmware_protocol.units import NS_PER_S, NodeId, ShortAddress
 
 HANDOVER_NS = 300 * NS_PER_S
 """A radio that heard a biobot no longer ago than this may still be the one that reaches it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class Place(Struct, frozen=True, kw_only=True, gc=False):
     """Where a biobot was heard, and when (monotonic)."""
 
     radio: str
@@ -37,6 +38,11 @@ class Whereabouts:
             del self._places[before][place.radio]
         self._settle(node, place)
         return None if before == node else before
+
+    def stay(self, node: NodeId, *, radio: str, heard_ns: int) -> None:
+        """Let a biobot be heard again where it is at a radio, which must have heard it there before."""
+        mine = self._places[node]
+        mine[radio] = Place(radio=radio, address=mine[radio].address, heard_ns=heard_ns)
 
     def suspect(self, node: NodeId, place: Place) -> None:
         """Note that a biobot may be at a place: an old message came from there. It takes nobody's address, nor a better one of its own."""

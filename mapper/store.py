@@ -23,7 +23,6 @@ from firmware_protocol.contract.records import (
     ModeRecord,
     RecordBatch,
     decode_journal_record,
-    encode_journal_record,
 )
 from firmware_protocol.errors import RecordError
 from firmware_protocol.units import NodeId
@@ -31,19 +30,12 @@ from mapper.errors import StoreError
 from mapper.mode_spells import ModeSpells
 from mapper.offsets import OffsetSet
 from mapper.record_columns import EncounterColumns, is_fit, make_rows, wall_interval
+from mapper.record_rows import RecordRows
 from mapper.replica import StoreDelta
 from mapper.row_loader import load_encounters
 from mapper.store_file import open_store_file, store_name, translate
 
 _MAX_INTEGER = 2**63 - 1
-
-# A record of another kind under a known identity is refused by the last condition.
-_UPSERT = """
-INSERT INTO record (gateway, boot, sequence, revision, kind, change, body) VALUES (?, ?, ?, ?, ?, ?, ?)
-ON CONFLICT (gateway, boot, sequence) DO UPDATE SET revision = excluded.revision, change = excluded.change, body = excluded.body
-WHERE excluded.revision > record.revision AND excluded.kind = record.kind
-RETURNING id
-"""
 
 
 class Kind(IntEnum):
@@ -107,6 +99,8 @@ class _Source:
     id: int
     gateway_id: int
     offsets: OffsetSet
+    has_spans: bool = False
+    """There are ranges beyond the watermark in the file."""
 
 
 class Store:
@@ -155,41 +149,24 @@ class Store:
         StoreError
             The file cannot be written; nothing of the batches was taken in.
         """
-        fresh: list[tuple[int, int, JournalRecord]] = []
-        change = self._progress.change
-        n_repeated = n_unfit = 0
+        arrived: list[tuple[int, int, JournalRecord]] = []
+        n_unfit = 0
         touched: dict[tuple[str, str], _Source] = {}
-        execute = self._db.execute
         with self._transaction():
             for batch in batches:
-                key = (batch.gateway, batch.journal)
-                for record in batch.records:
-                    if (record.gateway, record.journal) != key or record.offset > _MAX_INTEGER:
-                        n_unfit += 1
-                        continue
-                    source = touched.get(key) or touched.setdefault(key, self._copy_source(*key))
-                    # An unfit record counts as arrived, or the gap would be asked for again for ever.
-                    source.offsets.add(record.offset)
-                    if not is_fit(record):
-                        n_unfit += 1
-                        continue
-                    head = (source.gateway_id, record.boot, record.sequence, record.revision, _KINDS[type(record)], change + 1)
-                    found = execute(_UPSERT, (*head, encode_journal_record(record))).fetchone()
-                    if found is None:
-                        n_repeated += 1
-                    else:
-                        change += 1
-                        fresh.append((found[0], change, record))
+                n_unfit += self._arrive(batch, into=arrived, touched=touched)
+            fresh = self._rows.write(arrived, change=self._progress.change)
             for source in touched.values():
                 self._save_source(source)
         self._sources.update(touched)
-        n_new = len({row for row, _, _ in fresh if row > self._last_row})
+        n_new = len({row for row, _, _ in fresh if row > self._rows.last})
+        self._rows.settle(fresh, arrived)
         self._remember(fresh)
-        self._progress = StoreProgress(n_encounters=self.n_encounters, change=change)
+        self._progress = StoreProgress(n_encounters=self.n_encounters, change=self._progress.change + len(fresh))
         return Applied(
             n_new=n_new,
             n_revised=len(fresh) - n_new,
-            n_repeated=n_repeated,
+            n_repeated=len(arrived) - len(fresh),
             n_unfit=n_unfit,
             modes=tuple(record for _, _, record in fresh if isinstance(record, ModeRecord)),
         )
@@ -274,6 +251,23 @@ class Store:
             raise translate(error, path=self._path) from error
         return None if row is None else KeptMap(made_by=made_by, change=row[0], document=row[1])
 
+    def _arrive(self, batch: RecordBatch, *, into: list[tuple[int, int, JournalRecord]], touched: dict[tuple[str, str], _Source]) -> int:
+        """Note the offsets of a batch, and collect its records that are fit; return how many are not."""
+        name, journal = key = (batch.gateway, batch.journal)
+        records = [
+            record for record in batch.records if record.gateway == name and record.journal == journal and record.offset <= _MAX_INTEGER
+        ]
+        if not records:
+            return len(batch.records)
+        source = touched.get(key) or touched.setdefault(key, self._copy_source(name, journal))
+        # An unfit record counts as arrived, or the gap would be asked for again for ever.
+        for first, last in _runs(records):
+            source.offsets.add(first, last)
+        gateway = source.gateway_id
+        fit = [(gateway, _KINDS[type(record)], record) for record in records if is_fit(record)]
+        into += fit
+        return len(batch.records) - len(fit)
+
     @contextmanager
     def _transaction(self) -> Iterator[None]:
         try:
@@ -291,19 +285,18 @@ class Store:
         self._modes = ModeSpells()
         self._missions: dict[int, MissionRecord] = {}
         self._sources: dict[tuple[str, str], _Source] = {}
-        self._last_row = 0
         for rows, changes in load_encounters(self._db, kind=Kind.ENCOUNTER):
             self._encounters.put(rows, changes=changes)
         others = self._db.execute("SELECT id, change, body FROM record WHERE kind <> ? ORDER BY change", (Kind.ENCOUNTER,))
         self._remember([(row, change, decode_journal_record(body)) for row, change, body in others])
-        (self._last_row,) = self._db.execute("SELECT coalesce(max(id), 0) FROM record").fetchone()
+        self._rows = RecordRows(self._db)
         newest = [self._db.execute("SELECT max(change) FROM record WHERE kind = ?", (kind,)).fetchone()[0] or 0 for kind in Kind]
         self._progress = StoreProgress(n_encounters=self.n_encounters, change=max(newest))
         query = "SELECT source.id, gateway.id, name, journal, watermark FROM source JOIN gateway ON gateway.id = source.gateway"
         for source_id, gateway_id, name, journal, watermark in self._db.execute(query).fetchall():
             spans = self._db.execute("SELECT first, last FROM span WHERE source = ?", (source_id,)).fetchall()
             offsets = OffsetSet(watermark=watermark, spans=spans)
-            self._sources[name, journal] = _Source(id=source_id, gateway_id=gateway_id, offsets=offsets)
+            self._sources[name, journal] = _Source(id=source_id, gateway_id=gateway_id, offsets=offsets, has_spans=bool(spans))
 
     def _remember(self, fresh: Sequence[tuple[int, int, JournalRecord]]) -> None:
         """Put records into memory; of several of one row, the last."""
@@ -316,7 +309,6 @@ class Store:
                     self._modes.put(row, record, change=change)
                 case MissionRecord():
                     self._missions[row] = record
-            self._last_row = max(self._last_row, row)
         if encounters:
             rows = make_rows(list(encounters), [record for _, record in encounters.values()])
             self._encounters.put(rows, changes=np.array([change for change, _ in encounters.values()], dtype=np.int64))
@@ -324,9 +316,8 @@ class Store:
     def _copy_source(self, gateway: str, journal: str) -> _Source:
         known = self._sources.get((gateway, journal))
         if known:
-            return _Source(
-                id=known.id, gateway_id=known.gateway_id, offsets=OffsetSet(watermark=known.offsets.watermark, spans=known.offsets.spans)
-            )
+            offsets = OffsetSet(watermark=known.offsets.watermark, spans=known.offsets.spans)
+            return _Source(id=known.id, gateway_id=known.gateway_id, offsets=offsets, has_spans=known.has_spans)
         self._db.execute("INSERT INTO gateway (name) VALUES (?) ON CONFLICT DO NOTHING", (gateway,))
         (gateway_id,) = self._db.execute("SELECT id FROM gateway WHERE name = ?", (gateway,)).fetchone()
         (source_id,) = self._db.execute(
@@ -336,6 +327,22 @@ class Store:
 
     def _save_source(self, source: _Source) -> None:
         self._db.execute("UPDATE source SET watermark = ? WHERE id = ?", (source.offsets.watermark, source.id))
-        self._db.execute("DELETE FROM span WHERE source = ?", (source.id,))
+        if source.has_spans:
+            self._db.execute("DELETE FROM span WHERE source = ?", (source.id,))
         rows: Sequence[tuple[int, int, int]] = [(source.id, first, last) for first, last in source.offsets.spans]
-        self._db.executemany("INSERT INTO span (source, first, last) VALUES (?, ?, ?)", rows)
+        if rows:
+            self._db.executemany("INSERT INTO span (source, first, last) VALUES (?, ?, ?)", rows)
+        source.has_spans = bool(rows)
+
+
+def _runs(records: Sequence[JournalRecord]) -> Iterator[tuple[int, int]]:
+    """Yield first and last of the offsets that follow each other: a batch is most often one run."""
+    first = last = records[0].offset
+    for record in records:
+        offset = record.offset
+        if offset == last + 1:
+            last = offset
+        elif offset != last:
+            yield first, last
+            first = last = offset
+    yield first, last

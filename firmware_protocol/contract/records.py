@@ -62,8 +62,8 @@ class Stage(Enum):
     UNKNOWN = "unknown"
 
 
-class Struct(msgspec.Struct, frozen=True, kw_only=True):
-    """Common options of what crosses the bus."""
+class Struct(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """Common options of what crosses the bus. Not watched by the garbage collector: what never changes is in no cycle."""
 
 
 class EncounterSide(Struct, frozen=True, kw_only=True):

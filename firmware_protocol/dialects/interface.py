@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol, TypeAlias
 
+from msgspec import Struct
+
 from firmware_protocol.envelope import CoordinatorHello, RadioReceived
 from firmware_protocol.units import ShortAddress
 
@@ -56,16 +58,14 @@ class CoordinatorIdentified:
     description: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PayloadHeard:
+class PayloadHeard(Struct, frozen=True, kw_only=True, gc=False):
     """A radio payload came in; ``confirm(receipt)`` tells the dongle, where its dialect can, that it is safe."""
 
     received: RadioReceived
     receipt: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SendSettled:
+class SendSettled(Struct, frozen=True, kw_only=True, gc=False):
     """What became of the payload that ``send`` gave this ticket: a ``RadioStatus`` value, or one of a newer firmware."""
 
     ticket: int

@@ -1,8 +1,8 @@
 """Laws of merging the two sides' reports."""
 
-from dataclasses import replace
 from itertools import pairwise
 
+import msgspec.structs
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -119,7 +119,7 @@ def test_a_restart_in_between_changes_no_encounter(reports: list[SideReport], n_
     shift_ns = anchor_ms * _MS
     for old in reports[n_before:]:
         published += second.merge(
-            replace(old, t_start_ns=Nanoseconds(old.t_start_ns - shift_ns), t_end_ns=Nanoseconds(old.t_end_ns - shift_ns))
+            msgspec.structs.replace(old, t_start_ns=Nanoseconds(old.t_start_ns - shift_ns), t_end_ns=Nanoseconds(old.t_end_ns - shift_ns))
         )
     found = [
         (one.node_a, one.node_b, one.t_start_ns + one.wall_anchor_ns, one.t_end_ns + one.wall_anchor_ns)

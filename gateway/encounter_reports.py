@@ -1,0 +1,151 @@
+"""The entries of encounter batches, dated and merged: the gateway's most frequent work, on plain numbers.
+
+Encounters leave memory when they are older than the window, or when there are too many of them; a late report brings them back from the
+journal.
+"""
+
+import asyncio
+import sqlite3
+from collections.abc import Sequence
+
+from firmware_protocol.contract.records import EncounterRecord
+from firmware_protocol.message_codec import EncounterFields
+from firmware_protocol.messages import BROADCAST_NODE
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, Nanoseconds, NodeId, RssiDbm
+from gateway.clocks import NodeClock
+from gateway.encounters import EncounterMerger, SideReport, margin_of
+from gateway.health import Health
+from gateway.issuer import RecordIssuer
+from gateway.journal_file import JournalReader
+from gateway.nodes import Node, NodeBook
+
+MAX_AHEAD_MS = 1_000
+"""A time this far after the message was sent cannot be; less may come from rounding."""
+
+MAX_IN_MEMORY = 200_000
+"""Encounters that are remembered, whatever the window: about 100 MB."""
+
+_FORGOTTEN_AT_ONCE = 1_000
+"""Encounters that are forgotten in one step of the loop: about a millisecond."""
+
+_ABSENT_AFTER_NS = 120 * NS_PER_S
+"""A biobot that was last heard so long before another is out of range of this gateway: only the other reports what the two share."""
+
+_RECALL_SLACK_NS = 10 * NS_PER_S
+"""Encounters this far around a late report, beside twice its margin, are brought back: more than the error of any clock."""
+
+
+class EncounterReports:
+    """See the module. Belongs to one event loop.
+
+    Parameters
+    ----------
+    window_s
+        How long an encounter stays in memory after its end.
+    now_ns
+        What ended before this is in the journal alone.
+    """
+
+    def __init__(
+        self, *, issuer: RecordIssuer, reader: JournalReader, nodes: NodeBook, health: Health, window_s: float, now_ns: int
+    ) -> None:
+        self._issuer = issuer
+        self._reader = reader
+        self._nodes = nodes
+        self._health = health
+        self._window_ns = int(window_s * NS_PER_S)
+        self._horizon_ns = self._next_horizon_ns = now_ns
+        self._late_pairs: set[tuple[NodeId, NodeId]] = set()
+        """Of reports older than the next horizon that may not be on disk yet."""
+        self._is_forgetting = False
+        self._merger = EncounterMerger(issuer=issuer)
+
+    def take(self, entries: Sequence[EncounterFields], *, node: Node, sent_ms: int, clock: NodeClock) -> list[EncounterRecord]:
+        """Return the records that the entries of a biobot's message bring about. ``clock`` is that of the message's boot."""
+        records: list[EncounterRecord] = []
+        merge, find = self._merger.merge, self._nodes.find
+        name, own_period_ms, next_horizon_ns = node.node, node.beacon_period_ms, self._next_horizon_ns
+        n_taken = 0
+        for peer, start_ms, duration_ms, rssi_dbm, is_ongoing, path_mm in entries:
+            end_ms = start_ms + duration_ms
+            if peer in (name, BROADCAST_NODE) or end_ms > sent_ms + MAX_AHEAD_MS:
+                continue
+            n_taken += 1
+            t_start_ns, t_end_ns, error_ns = clock.read_span(start_ms, end_ms)
+            other = find(NodeId(peer))
+            period_ms = own_period_ms if other is None or other.beacon_period_ms < own_period_ms else other.beacon_period_ms
+            margin_ns = margin_of(beacon_period_ms=period_ms, error_ns=error_ns, n_bridged=self._n_bridged(node, other))
+            report = SideReport(
+                node=name,
+                peer=NodeId(peer),
+                t_start_ns=Nanoseconds(t_start_ns),
+                t_end_ns=Nanoseconds(t_end_ns),
+                error_ns=Nanoseconds(error_ns),
+                rssi_dbm=RssiDbm(rssi_dbm),
+                is_ongoing=is_ongoing,
+                margin_ns=margin_ns,
+                period_ns=period_ms * NS_PER_MS,
+                path_mm=path_mm,
+            )
+            if t_start_ns - margin_ns <= next_horizon_ns:
+                self._late_pairs.add((name, NodeId(peer)) if name < peer else (NodeId(peer), name))
+                if t_start_ns - margin_ns <= self._horizon_ns:
+                    self._recall(report)
+            records += merge(report)
+        self._health.count("encounter.reports", n_taken)
+        if n_taken < len(entries):
+            self._health.count("encounter.impossible", len(entries) - n_taken)
+        return records
+
+    def begin_forgetting(self, *, now_ns: int) -> bool:
+        """Choose what is to be forgotten: what is older than the window, and the oldest of too many; False where that is under way.
+
+        ``forget_old`` does it, when all that was reported until now is on disk; what is reported late until then stays.
+        """
+        if self._is_forgetting:
+            return False
+        self._is_forgetting = True
+        self._late_pairs.clear()
+        self._next_horizon_ns = max(self._next_horizon_ns, now_ns - self._window_ns, self._merger.end_of_oldest(MAX_IN_MEMORY))
+        return True
+
+    def forget_old(self, n_left: int | None = None) -> None:
+        """Forget what ``begin_forgetting`` chose, a little at each step of the loop; ``n_left`` are still to be looked at."""
+        self._horizon_ns = self._next_horizon_ns
+        n_left = len(self._merger) if n_left is None else n_left
+        n_now = min(n_left, _FORGOTTEN_AT_ONCE)
+        if self._merger.forget_before(self._horizon_ns, spare=self._late_pairs, limit=n_now) and n_left > n_now:
+            asyncio.get_running_loop().call_soon(self.forget_old, n_left - n_now)
+            return
+        self._is_forgetting = False
+        self._health.set_level("encounters.in_memory", len(self._merger))
+
+    def _recall(self, report: SideReport) -> None:
+        """Bring back from the journal what the merger has forgotten and this late report may belong to."""
+        node_a, node_b = sorted((report.node, report.peer))
+        slack_ns = 2 * report.margin_ns + _RECALL_SLACK_NS
+        from_wall_ns, to_wall_ns = self._issuer.to_recorded_wall_ns(report.t_start_ns - slack_ns, report.t_end_ns + slack_ns)
+        try:
+            records = self._reader.read_pair(node_a=node_a, node_b=node_b, from_wall_ns=from_wall_ns, to_wall_ns=to_wall_ns)
+        except sqlite3.Error:
+            # The report is kept as an encounter of its own; its other half, if there is one, stays another.
+            self._health.count("encounter.unread_journal")
+            return
+        if records:
+            self._merger.restore(records, margin=self._margin_of_record, period=lambda record: self._period_ms_of(record) * NS_PER_MS)
+
+    def _n_bridged(self, node: Node | None, peer: Node | None) -> int:
+        """Return how many lost beacons in a row are bridged: more where the other's reports are not to be expected here."""
+        guesses = self._merger.loss.now
+        is_alone = node is None or peer is None or abs(node.last_heard_ns - peer.last_heard_ns) > _ABSENT_AFTER_NS
+        return guesses.n_bridged_alone if is_alone else guesses.n_bridged
+
+    def _period_ms_of(self, record: EncounterRecord) -> int:
+        """Return the pause between the beacons of a pair [ms], the longer one; 0: neither sends any, or has said so."""
+        nodes = (self._nodes.find(record.node_a), self._nodes.find(record.node_b))
+        return max((node.beacon_period_ms for node in nodes if node is not None), default=0)
+
+    def _margin_of_record(self, record: EncounterRecord) -> int:
+        error_ns = max((side.error_ns or record.error_ns for side in record.sides), default=record.error_ns)
+        n_bridged = self._n_bridged(self._nodes.find(record.node_a), self._nodes.find(record.node_b))
+        return margin_of(beacon_period_ms=self._period_ms_of(record), error_ns=error_ns, n_bridged=n_bridged)
