@@ -119,6 +119,9 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 	$(VENV)/bin/hadolint -c docker/hadolint.yaml docker/Dockerfile
 	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
+deploy-check: venv  ## check the systemd units and udev rules of deploy/ with systemd's own tools
+	$(PY) scripts/deploy_check.py
+
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out bench-live-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 

@@ -5,8 +5,10 @@ The configuration itself is a ``msgspec.Struct`` whose fields are scalars, tuple
 """
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
@@ -18,6 +20,22 @@ ConfigT = TypeVar("ConfigT", bound=msgspec.Struct)
 _SEPARATOR = "__"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unfit:
+    """What a value, or several together, cannot be though each has a fit type.
+
+    Parameters
+    ----------
+    keys
+        The dotted keys it is about; where one of them has an unfit value anyway, only that is told.
+    reason
+        One sentence that names value, limit and next step.
+    """
+
+    keys: tuple[str, ...]
+    reason: str
+
+
 def load_configuration(
     config_type: type[ConfigT],
     *,
@@ -26,6 +44,8 @@ def load_configuration(
     environment: Mapping[str, str] | None = None,
     environment_prefix: str,
     flags: Mapping[str, object] | None = None,
+    flag_names: Mapping[str, str] | None = None,
+    check: Callable[[ConfigT], Iterable[Unfit]] | None = None,
 ) -> ConfigT:
     """Build a configuration from its four sources, later ones winning.
 
@@ -43,6 +63,10 @@ def load_configuration(
         Upper-case prefix, without separator.
     flags
         Dotted key to value, from the command line; None means "not given".
+    flag_names
+        Dotted key to the flag as it is typed, where that is not the key's last part.
+    check
+        Finds what types cannot say. It is asked even where some values are unfit, which then have their defaults.
 
     Raises
     ------
@@ -56,23 +80,36 @@ def load_configuration(
         try:
             _merge(merged, tomllib.loads(toml_text), origin=origin, source=toml_name)
         except tomllib.TOMLDecodeError as error:
-            raise ConfigurationError([f"{toml_name}: not valid TOML: {error}"]) from error
+            problems.append(f"{toml_name}: not valid TOML: {error}")
+            check = None  # what the file was to say is not known
     for name, text in sorted((environment or {}).items()):
         if name.startswith(environment_prefix + _SEPARATOR):
             path = name.removeprefix(environment_prefix + _SEPARATOR).lower().split(_SEPARATOR)
             _merge(merged, _nest(path, _Text(text)), origin=origin, source=name)
     for dotted, value in (flags or {}).items():
         if value is not None:
-            flag = "--" + dotted.rsplit(".", 1)[-1].replace("_", "-")
+            flag = (flag_names or {}).get(dotted) or "--" + dotted.rsplit(".", 1)[-1].replace("_", "-")
             _merge(merged, _nest(dotted.split("."), value), origin=origin, source=flag)
     from_file = f"{toml_name}: " if toml_text is not None else ""
-    values = _convert_fields(config_type, merged, prefix="", origin=origin, problems=problems, where=from_file)
-    if not problems:
-        try:
-            return config_type(**values)
-        except (TypeError, ValueError) as error:
-            problems.append(f"{from_file}{error}")
-    raise ConfigurationError(problems)
+    unfit: set[str] = set()
+    values = _convert_fields(config_type, merged, prefix="", origin=origin, problems=problems, unfit=unfit, where=from_file)
+    try:
+        config = config_type(**values)
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(problems or [f"{from_file}{error}"]) from error
+    for found in check(config) if check is not None else ():
+        if not any(_is_within(key, unfit) for key in found.keys):
+            source = next((origin[key] for key in found.keys if key in origin), None)
+            problems.append(found.reason if source is None else f"{source}: {found.reason}")
+    if problems:
+        raise ConfigurationError(problems)
+    return config
+
+
+def _is_within(key: str, unfit: set[str]) -> bool:
+    """Whether a key, or a table that it is in, has an unfit value."""
+    parts = key.split(".")
+    return any(".".join(parts[:n]) in unfit for n in range(1, len(parts) + 1))
 
 
 class _Text(str):
@@ -99,8 +136,16 @@ def _merge(into: dict[str, Any], new: Mapping[str, Any], *, origin: dict[str, st
 
 
 def _convert_fields(
-    config_type: type[msgspec.Struct], given: Mapping[str, Any], *, prefix: str, origin: Mapping[str, str], problems: list[str], where: str
+    config_type: type[msgspec.Struct],
+    given: Mapping[str, Any],
+    *,
+    prefix: str,
+    origin: Mapping[str, str],
+    problems: list[str],
+    unfit: set[str],
+    where: str,
 ) -> dict[str, Any]:
+    """Return the values that are fit; those that are not go to ``problems``, and their keys to ``unfit``."""
     fields = {field.encode_name: field for field in msgspec.structs.fields(config_type)}
     known = ", ".join(sorted(fields))
     problems += [
@@ -113,25 +158,22 @@ def _convert_fields(
         if key not in given:
             if field.required:
                 problems.append(f"{where}missing key {dotted!r}")
+                unfit.add(dotted)
             continue
         value = given[key]
-        if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct):
+        label = f"{origin.get(dotted, '?')}: {dotted}"
+        if not (isinstance(field.type, type) and issubclass(field.type, msgspec.Struct)):
+            make = partial(_convert, value, field.type)
+            _try(problems, f"{label} is {_shown(value)}", values, field.name, make, choices=_choices(field.type))
+        elif isinstance(value, Mapping):
             before = len(problems)
-            if not isinstance(value, Mapping):
-                problems.append(f"{origin.get(dotted, '?')}: {dotted} is {value!r}, but must be a table")
-                continue
-            inner = _convert_fields(field.type, value, prefix=f"{dotted}.", origin=origin, problems=problems, where=where)
-            if len(problems) == before:
-                _try(problems, f"{origin.get(dotted, '?')}: {dotted}", values, field.name, lambda t=field.type, v=inner: t(**v))
+            inner = _convert_fields(field.type, value, prefix=f"{dotted}.", origin=origin, problems=problems, unfit=unfit, where=where)
+            # A table that has unfit values is made of the others, for what is still to be checked; nothing more is said of it.
+            _try(problems if len(problems) == before else [], label, values, field.name, partial(field.type, **inner))
         else:
-            _try(
-                problems,
-                f"{origin.get(dotted, '?')}: {dotted} is {_shown(value)}",
-                values,
-                field.name,
-                lambda t=field.type, v=value: _convert(v, t),
-                choices=_choices(field.type),
-            )
+            problems.append(f"{label} is {value!r}, but must be a table")
+        if field.name not in values:
+            unfit.add(dotted)
     return values
 
 
@@ -158,7 +200,9 @@ def _shown(value: object) -> str:
     return repr(str(value)) if isinstance(value, _Text) else repr(value)
 
 
-def _try(problems: list[str], label: str, values: dict[str, Any], name: str, make: Any, *, choices: Sequence[str] = ()) -> None:
+def _try(
+    problems: list[str], label: str, values: dict[str, Any], name: str, make: Callable[[], object], *, choices: Sequence[str] = ()
+) -> None:
     try:
         values[name] = make()
     except msgspec.ValidationError as error:

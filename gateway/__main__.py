@@ -7,7 +7,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError, ProtocolError
-from gateway.commands import asking, check_radio, configure, lines, pcap, ports, run
+from gateway.commands import asking, check_radio, config, configure, lines, pcap, ports, run, status
 from gateway.commands.outcome import FAILED, USAGE, complain
 from gateway.errors import GatewayError, TransportSpecError
 
@@ -21,10 +21,11 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "check-radio": ("check a radio, capability by capability", check_radio.add_arguments, check_radio.check),
     "command": ("command a biobot through a running gateway", asking.add_command_arguments, asking.command),
     "status": (
-        "print what a running gateway says of itself; exit status 1 where none does",
-        asking.add_bus_arguments,
-        asking.ask_status,
+        "how the gateways of a site stand, live on a terminal; exit status 1 where none is heard",
+        status.add_arguments,
+        status.status,
     ),
+    "config": ("print a configuration file of all keys with their defaults, or its schema", config.add_arguments, config.config),
     "configure": (
         "set the network of a native or CAN coordinator whose port no gateway holds",
         configure.add_arguments,
@@ -42,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         command = run.check_alone if options.command is None else _COMMANDS[options.command][2]
-        status = command(options)
+        exit_status = command(options)
         sys.stdout.flush()
     except ConfigurationError as error:
         return complain(*error.problems, status=USAGE)
@@ -56,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
         return FAILED
     except KeyboardInterrupt:
         return complain("interrupted", status=FAILED)
-    return status
+    return exit_status
 
 
 def _parser() -> argparse.ArgumentParser:

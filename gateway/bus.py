@@ -137,11 +137,15 @@ class Bus:
         BusError
             An endpoint cannot be listened on, or is none; or a gateway of this name is alive at the site already.
         """
-        session = _open_session(listen=config.listen, connect=config.connect)
+        session = open_session(listen=config.listen, connect=config.connect)
         if config.connect and _is_taken(session, build_key(site=config.site, stream=Stream.ALIVE, gateway=config.name)):
             session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
             raise BusError(f"a gateway named {config.name!r} is alive at site {config.site!r} already; give this one another --name")
         return cls(session=session, site=config.site, gateway=config.name, health=health)
+
+    def n_links(self) -> int:
+        """Return how many other sessions are connected now."""
+        return len(self._session.info.peers_zid()) + len(self._session.info.routers_zid())
 
     def start(
         self,
@@ -331,7 +335,7 @@ def send_command(
     BusError
         ``connect`` is no endpoint.
     """
-    with _open_session(listen=(), connect=connect) as session:
+    with open_session(listen=(), connect=connect) as session:
         name = _find_gateway(session, site=site, gateway=gateway, connect=connect)
         key = build_key(site=site, stream=Stream.COMMAND, gateway=name)
         for reply in session.get(key, payload=encode_record(request), timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE):
@@ -349,7 +353,7 @@ def read_status(*, site: str, gateway: str | None, connect: Sequence[str], timeo
     BusError
         ``connect`` is no endpoint.
     """
-    with _open_session(listen=(), connect=connect) as session:
+    with open_session(listen=(), connect=connect) as session:
         channel: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
         with session.declare_subscriber(build_key(site=site, stream=Stream.STATUS, gateway=gateway or ANY), channel) as subscriber:
             deadline = time.monotonic() + timeout_s
@@ -383,7 +387,8 @@ def _find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, con
     return names.pop()
 
 
-def _open_session(*, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Session:
+def open_session(*, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Session:
+    """Open a session as a peer; raises ``BusError`` where an endpoint is none or cannot be listened on."""
     try:
         config = zenoh.Config()
         for key, value in _SETTINGS.items():

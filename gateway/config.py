@@ -1,20 +1,11 @@
-"""The gateway's configuration, built once at start and handed down (defaults, TOML, environment, flags)."""
+"""What the gateway's configuration may say; ``config_loading`` builds it, once at start, and it is handed down."""
 
-from collections.abc import Mapping
 from enum import Enum
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
-from firmware_protocol.configuration import load_configuration
-from firmware_protocol.contract.keys import check_name
-from firmware_protocol.errors import ConfigurationError, KeyExpressionError
 from firmware_protocol.messages import OWN_CHANNEL
-
-ENVIRONMENT_PREFIX = "BIOBOT_GATEWAY"
-
-_LAST_CHANNEL = 7  # WIRE_FORMAT.md §5.8: Limits has eight bits for them
 
 _Seconds = Annotated[float, msgspec.Meta(gt=0, le=86_400)]
 _Count = Annotated[int, msgspec.Meta(ge=1)]
@@ -205,6 +196,19 @@ class RetentionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     mapper_days: Annotated[float, msgspec.Meta(gt=0, le=36_500)] = 30.0
 
 
+class MonitorTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the gateway says of itself over HTTP: /metrics, /healthz and /readyz (docs/operation.md).
+
+    Keys
+    ----
+    listen
+        HOST:PORT to answer at, such as ``127.0.0.1:9466``; empty: nowhere. There are no passwords: keep it on loopback, or in a network
+        whose machines you trust.
+    """
+
+    listen: str = ""
+
+
 class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All of the gateway's configuration.
 
@@ -220,7 +224,9 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         Zenoh endpoints, such as ``tcp/127.0.0.1:7447``.
     log_level
         DEBUG, INFO, WARNING or ERROR.
-    link, encounters, clocks, stimulation, backpacks, mission, recording, retention
+    log_format
+        text, json, or auto: text on a terminal, else one JSON object a line.
+    link, encounters, clocks, stimulation, backpacks, mission, recording, retention, monitor
         Tables of their own.
     """
 
@@ -231,6 +237,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
     connect: tuple[str, ...] = ()
     log_level: Annotated[str, msgspec.Meta(pattern="^(DEBUG|INFO|WARNING|ERROR)$")] = "INFO"
+    log_format: Literal["auto", "text", "json"] = "auto"
     link: LinkTable = LinkTable()
     encounters: EncounterTable = EncounterTable()
     clocks: ClockTable = ClockTable()
@@ -239,65 +246,4 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     mission: MissionTable = MissionTable()
     recording: RecordingTable = RecordingTable()
     retention: RetentionTable = RetentionTable()
-
-
-def load_gateway_config(
-    *, toml_path: Path | None = None, environment: Mapping[str, str] | None = None, flags: Mapping[str, object] | None = None
-) -> GatewayConfig:
-    """Build the configuration from its four sources and check what types cannot say.
-
-    Raises
-    ------
-    ConfigurationError
-        With one line for each fault.
-    """
-    toml_text = None
-    if toml_path is not None:
-        try:
-            toml_text = toml_path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigurationError([f"{toml_path}: cannot be read: {error}"]) from error
-    config = load_configuration(
-        GatewayConfig,
-        toml_text=toml_text,
-        toml_name=str(toml_path),
-        environment=environment,
-        environment_prefix=ENVIRONMENT_PREFIX,
-        flags=flags,
-    )
-    problems = [*_name_problems(config), *_pulse_problems(config.stimulation), *_threshold_problems(config.backpacks)]
-    if problems:
-        raise ConfigurationError(problems)
-    return config
-
-
-def _name_problems(config: GatewayConfig) -> list[str]:
-    problems = []
-    for name, what in ((config.site, "site"), (config.name, "gateway")):
-        try:
-            check_name(name, what=what)
-        except KeyExpressionError as error:
-            problems.append(f"{what}: {error}")
-    return problems
-
-
-def _pulse_problems(table: StimulationTable) -> list[str]:
-    problems = []
-    # Every phase of a pulse has the pulse width, or more where it is the weaker one; all of them must fit into one period.
-    n_phases = 1 if table.waveform is WaveformName.MONOPHASIC else 2
-    period_us = 1_000_000 // table.frequency_hz
-    if n_phases * table.pulse_width_us > period_us:
-        phases = "one phase" if n_phases == 1 else "two phases"
-        limit = f"{phases} must fit into the {period_us} us period of {table.frequency_hz} Hz: at most {period_us // n_phases}"
-        problems.append(f"stimulation.pulse_width_us is {table.pulse_width_us}, but {limit}")
-    if _LAST_CHANNEL < table.channel < OWN_CHANNEL:
-        limit = f"a backpack has channels 0 to {_LAST_CHANNEL}; {OWN_CHANNEL} leaves it to the backpack"
-        problems.append(f"stimulation.channel is {table.channel}, but {limit}")
-    return problems
-
-
-def _threshold_problems(table: BackpackTable) -> list[str]:
-    if table.rssi_enter_dbm is None or table.rssi_exit_dbm is None or table.rssi_exit_dbm <= table.rssi_enter_dbm:
-        return []
-    limit = f"it must not be above backpacks.rssi_enter_dbm = {table.rssi_enter_dbm}, or encounters would end as they begin"
-    return [f"backpacks.rssi_exit_dbm is {table.rssi_exit_dbm}, but {limit}"]
+    monitor: MonitorTable = MonitorTable()

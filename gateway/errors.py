@@ -11,6 +11,7 @@ GatewayError
 │   └── JournalFullError      too much waits for the disk: wait until it takes records again
 ├── RecordingError            a file is no recording, or cannot be written: choose another
 ├── BusError                  Zenoh cannot be opened as configured
+├── MonitorError              the monitor cannot answer where it is to: choose another address
 └── CommandError              a command could not be brought to a gateway
 """
 
@@ -93,6 +94,15 @@ class RecordingError(GatewayError):
 
 class BusError(GatewayError):
     """Zenoh cannot be opened as configured."""
+
+
+class MonitorError(GatewayError):
+    """The monitor cannot answer where it is to."""
+
+    def __init__(self, *, address: str, reason: str, next_step: str) -> None:
+        super().__init__(f"monitor {address}: {reason}; {next_step}")
+        self.address = address
+        self.reason = reason
 
 
 class CommandError(GatewayError):

@@ -95,6 +95,7 @@ class Journal:
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="journal")
         self._listeners: list[Callable[[Committed], None]] = []
         self._fault: str | None = None
+        self._commit_begun_s: float | None = None
         self._on_fault: Callable[[str | None], None] | None = None
         self._retention = retention
         self._watermarks = file.watermarks()
@@ -146,6 +147,11 @@ class Journal:
     def fault(self) -> str | None:
         """Why the disk takes nothing now, or None."""
         return self._fault
+
+    @property
+    def commit_s(self) -> float:
+        """How long the commit under way has taken [s], with all its attempts; 0: there is none."""
+        return 0.0 if self._commit_begun_s is None else time.monotonic() - self._commit_begun_s
 
     def reader(self) -> JournalReader:
         """Return a connection that reads what is committed; its owner closes it."""
@@ -253,6 +259,7 @@ class Journal:
         loop = asyncio.get_running_loop()
         segment = group.segment
         retry_s = _FIRST_RETRY_S
+        self._commit_begun_s = time.monotonic()
         while True:
             try:
                 await asyncio.shield(loop.run_in_executor(self._executor, self._file.commit, segment))
@@ -264,7 +271,10 @@ class Journal:
             retry_s = min(2 * retry_s, _MAX_RETRY_S)
         self._leave_fault()
         self._n_untidied += 1
+        self._health.observe("journal.commit", self.commit_s)
+        self._commit_begun_s = None
         self._n_waiting -= segment.n_writes
+        self._health.set_level("journal.waiting", self._n_waiting)
         self._health.count("journal.commits")
         self._health.count("journal.writes", segment.n_writes)
         if segment.bodies:

@@ -186,6 +186,9 @@ class NodeBook:
         """Return where a biobot was heard within the last minutes, one place at each radio, the latest first."""
         return self._whereabouts.recent(node, now_ns=now_ns)
 
+    def __len__(self) -> int:
+        return len(self._nodes)
+
     def all(self) -> list[Node]:
         """Return all biobots, by number."""
         return [self._nodes[node] for node in sorted(self._nodes)]

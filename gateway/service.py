@@ -1,10 +1,12 @@
 """The running gateway: every part wired to the others, in the one task group."""
 
 import asyncio
+import contextlib
+import os
 import random
 import signal
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +19,7 @@ from gateway.acknowledger import Acknowledger
 from gateway.bus import Bus, CommandAnswer
 from gateway.clocks import ClockBook
 from gateway.config import GatewayConfig
+from gateway.config_loading import read_address
 from gateway.configurator import Configurator
 from gateway.coordinator import Coordinator
 from gateway.downlink import DownlinkSender
@@ -26,14 +29,17 @@ from gateway.intake import Intake, IntakeListeners
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
 from gateway.journal_file import Retention
-from gateway.log import EventLog
+from gateway.log import EventLog, log_what_nobody_caught
 from gateway.mission import Mission
+from gateway.monitor.server import Monitor
 from gateway.nodes import NodeBook
 from gateway.recordings.radio_recorders import open_recorded, recording_radios
 from gateway.recordings.recorder import Recorder
+from gateway.service_manager import ServiceManager
 from gateway.stimulation import StimulationGate
 from gateway.transports.can_port import CanBuses
 from gateway.transports.spec import PortSpec, parse_port_spec
+from gateway.vitals import Vitals
 
 _log = EventLog(__name__)
 _SAY = {Level.DEBUG: _log.debug, Level.INFO: _log.info, Level.WARNING: _log.warning, Level.ERROR: _log.error}
@@ -46,9 +52,11 @@ _CANCEL_AGAIN_S = 0.5
 class Service:
     """A gateway, from open to closed. ``run`` opens everything, runs until ``stop``, and closes it in reverse order."""
 
-    def __init__(self, config: GatewayConfig) -> None:
+    def __init__(self, config: GatewayConfig, *, manager: ServiceManager | None = None) -> None:
         self._config = config
         self._health = Health()
+        self._vitals = Vitals(health=self._health, journal=Path(config.journal), connect=config.connect)
+        self._manager = manager or ServiceManager(address=None)
         self._stopping = asyncio.Event()
         self._command_tasks: set[asyncio.Task[None]] = set()
 
@@ -61,9 +69,25 @@ class Service:
 
         Raises
         ------
-        TransportSpecError, JournalUnfitError, BusError, RecordingError
+        TransportSpecError, MonitorError, JournalUnfitError, BusError, RecordingError
             The configuration names what cannot be opened. A radio that is not there is no error: it is waited for.
         """
+        with self._monitoring():
+            await self._run_open(on_ready)
+
+    @contextlib.contextmanager
+    def _monitoring(self) -> Iterator[None]:
+        if not self._config.monitor.listen:
+            yield
+            return
+        host, port = read_address(self._config.monitor.listen)
+        monitor = Monitor.start(host=host, port=port, vitals=self._vitals)
+        try:
+            yield
+        finally:
+            monitor.close()
+
+    async def _run_open(self, on_ready: Callable[[], None] | None) -> None:
         ports = {spec.name: spec for spec in map(parse_port_spec, self._config.ports)}
         self._journal = Journal.open(Path(self._config.journal), health=self._health, retention=_retention_of(self._config))
         try:
@@ -110,7 +134,7 @@ class Service:
                 open_port=partial(open_recorded, spec, recorders.get(name), can_buses=can_buses),
                 on_radio=intake.take,
                 config=config.link,
-                health=health,
+                health=health.of_radio(name),
                 first_session=journal.identity.first_session,
                 on_state=partial(self._on_radio_state, bus),
             )
@@ -149,10 +173,12 @@ class Service:
             )
         )
         journal.listen(bus.publish_records)
+        journal.listen(lambda committed: self._vitals.take_records(committed.records, committed.head_offset))
         journal.listen_for_fault(partial(self._on_journal_fault, bus))
         journal.listen_for_alarm(partial(self._publish_event, bus, "error"))
         try:
             async with asyncio.TaskGroup() as tasks:
+                signs_of_life = [tasks.create_task(self._vitals.run()), tasks.create_task(self._manager.watch())]
                 running = [tasks.create_task(journal.run())]
                 bus.start(
                     on_command=partial(self._on_command, gate, tasks),
@@ -160,7 +186,7 @@ class Service:
                     journal=journal.journal_id,
                     on_watermark=journal.note_watermark,
                 )
-                running.append(tasks.create_task(self._publish_status(bus, intake)))
+                running.append(tasks.create_task(self._publish_status(bus, intake, nodes)))
                 running.append(tasks.create_task(acknowledger.run()))
                 running.append(tasks.create_task(inquirer.run()))
                 running.append(tasks.create_task(configurator.run()))
@@ -171,16 +197,21 @@ class Service:
                     running.append(tasks.create_task(mission.run()))
                 running += [tasks.create_task(coordinator.run()) for coordinator in coordinators.values()]
                 _log.info("gateway.started", name=config.name, site=config.site, journal=journal.journal_id, boot=journal.boot)
+                self._manager.ready()
                 if on_ready is not None:
                     on_ready()
                 await self._stopping.wait()
                 await self._wind_down(running, gate)
+                for task in signs_of_life:
+                    task.cancel()
         finally:
             reader.close()
 
     async def _wind_down(self, running: list[asyncio.Task[None]], gate: StimulationGate) -> None:
         """Stop in the reverse order of the start; the journal, started first, is drained before it ends."""
         _log.info("gateway.stopping")
+        self._vitals.is_stopping = True
+        self._manager.stopping()
         gate.abandon()
         journal_task, *others = running
         others += self._command_tasks
@@ -224,6 +255,7 @@ class Service:
         self._publish_event(bus, "warning", "node.not_configured", facts)
 
     def _on_journal_fault(self, bus: Bus, reason: str | None) -> None:
+        self._vitals.journal_fault = reason
         level, kind = ("info", "journal.recovered") if reason is None else ("error", "journal.fault")
         self._publish_event(bus, level, kind, {"path": self._config.journal, "reason": reason or ""})
 
@@ -232,9 +264,12 @@ class Service:
             GatewayEvent(gateway=self._config.name, wall_ns=Nanoseconds(time.time_ns()), level=level, kind=kind, facts=dict(facts))
         )
 
-    async def _publish_status(self, bus: Bus, intake: Intake) -> None:
-        journal = self._journal
+    async def _publish_status(self, bus: Bus, intake: Intake, nodes: NodeBook) -> None:
+        journal, vitals = self._journal, self._vitals
+        vitals.head_offset = journal.head_offset
         while True:
+            vitals.n_links, vitals.n_biobots, vitals.commit_s = bus.n_links(), len(nodes), journal.commit_s
+            self._manager.tell(vitals.headline())
             bus.publish_gateway_status(
                 GatewayStatus(
                     gateway=self._config.name,
@@ -246,6 +281,13 @@ class Service:
                     counters=self._health.counters(),
                     oldest_offset=journal.oldest_offset,
                     watermarks=dict(journal.watermarks),
+                    radio_reports=vitals.radio_reports(),
+                    started_wall_ns=Nanoseconds(vitals.started_wall_ns),
+                    n_biobots=vitals.n_biobots,
+                    journal_bytes=None if vitals.disk is None else vitals.disk.journal_bytes,
+                    disk_free_bytes=None if vitals.disk is None else vitals.disk.free_bytes,
+                    faults=(*vitals.faults(), *vitals.warnings()),
+                    missing=tuple(vitals.missing()),
                 )
             )
             await asyncio.sleep(_STATUS_PERIOD_S)
@@ -254,8 +296,10 @@ class Service:
 
 async def run_gateway(config: GatewayConfig) -> None:
     """Run a gateway until SIGTERM or SIGINT; a second signal ends the process at once."""
-    service = Service(config)
+    manager = ServiceManager.of(os.environ)
+    service = Service(config, manager=manager)
     loop = asyncio.get_running_loop()
+    log_what_nobody_caught(_log)
 
     def on_signal(number: signal.Signals) -> None:
         loop.remove_signal_handler(number)  # the next one has its default effect
@@ -263,7 +307,10 @@ async def run_gateway(config: GatewayConfig) -> None:
 
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, on_signal, number)
-    await service.run()
+    try:
+        await service.run()
+    finally:
+        manager.close()
 
 
 def _retention_of(config: GatewayConfig) -> Retention:

@@ -1,6 +1,7 @@
 """Commands of the mapper, their flags and outputs.
 
-``run`` maps a file, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need.
+``run`` maps a file, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need,
+``config`` prints what a configuration file may say.
 """
 
 import argparse
@@ -14,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
-from mapper.config import ServiceConfig, load_mapper_config, make_recipe
+from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
 from mapper.errors import MapError, OutOfMemoryError, TooFewEncountersError
 from mapper.output_files import STANDARD, check_outputs, is_standard_output, write_output
 from mapper.types import MapResult, Method, MetricKind
@@ -22,6 +23,10 @@ from mapper.types import MapResult, Method, MetricKind
 _MAX_ID = 2**63 - 1
 _NEGATIVE = re.compile(r"-([0-9]+\.?[0-9]*|\.[0-9]+)[eE][+-]?[0-9]+|-(inf|infinity|nan)", re.ASCII | re.IGNORECASE)
 _EXIT_FAILED, _EXIT_USAGE = 1, 2
+_TITLE = (
+    "Configuration of biobot-mapper: every key with its default. Variables such as BIOBOT_MAPPER__SERVE__PORT win over this file, flags "
+    "over both. Keep what you change; `biobot-mapper serve --config FILE --check-config` tells all that is wrong with it."
+)
 
 
 def run_command_line(given: Sequence[str]) -> int:
@@ -57,8 +62,10 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         return _foretell(args)
     if args.command == "warm-up":
         return _warm_up(args)
+    if args.command == "config":
+        return _print_config(args)
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, serve, feasibility or warm-up"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, serve, feasibility, warm-up or config"], status=_EXIT_USAGE)
 
 
 def _check_configuration(args: argparse.Namespace) -> int:
@@ -149,6 +156,16 @@ def _warm_up(args: argparse.Namespace) -> int:
     return 0
 
 
+def _print_config(args: argparse.Namespace) -> int:
+    from msgspec.json import schema  # noqa: PLC0415  # for this command alone
+
+    from firmware_protocol.configuration_text import default_toml  # noqa: PLC0415  # same
+
+    text = json.dumps(schema(MapperConfig), indent=2) + "\n" if args.what == "schema" else default_toml(MapperConfig, title=_TITLE)
+    print(text, end="")
+    return 0
+
+
 def _given(*paths: Path | None) -> list[Path]:
     return [path for path in paths if path is not None]
 
@@ -172,7 +189,7 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
     parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
-    commands = parser.add_subparsers(dest="command", metavar="{run,serve,feasibility,warm-up}")
+    commands = parser.add_subparsers(dest="command", metavar="{run,serve,feasibility,warm-up,config}")
     run = commands.add_parser("run", help="make a map of a CSV file", description="Make a map of a CSV file of encounters.")
     _add_common(run, default=argparse.SUPPRESS)
     _add_run_arguments(run)
@@ -193,6 +210,10 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     warm = commands.add_parser("warm-up", help="see that all is there, so that the first map is quick", description=about)
     _add_common(warm, default=argparse.SUPPRESS)
     warm.add_argument("--quiet", action="store_true", help="say nothing unless something is wrong or slow")
+    about = "Print a configuration file of all keys with their defaults, or its schema."
+    config = commands.add_parser("config", help="print a configuration file of all keys, or its schema", description=about)
+    _add_common(config, default=argparse.SUPPRESS)
+    config.add_argument("what", choices=["print-default", "schema"], help="as TOML with comments, or as JSON Schema for editors")
     return parser
 
 

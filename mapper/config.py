@@ -55,7 +55,37 @@ _MIN_CANDIDATES = 1_000
 
 
 class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The method and its parameters; what is not given is as ``method`` has it."""
+    """The method and its parameters; what is not given is as ``method`` has it.
+
+    Keys
+    ----
+    method
+        The whole recipe: paper, as in [Dir16], or default, by landmark profiles.
+    metric
+        How encounters are compared: encounter, by the time between them, or landmark_profile, by their times to all landmarks.
+    profile_norm
+        How the differences of two landmark profiles become one number: max, the largest, or rms, the root mean square.
+    moving_time
+        What lies between two encounters of a biobot is the time that it walked, in place of all that passed.
+    bracketed
+        Profiles are the middle of their bounds, and badly bounded encounters are outliers; else outlier_k finds those.
+    smoothing_share
+        Bracketed profiles are averaged over this share of the encounters around each.
+    max_candidates
+        Encounters that may become points, taken evenly in the order of time; 0: all.
+    outlier_k, outlier_q
+        An encounter whose k-th neighbour is further than this quantile of all such distances is left out; 1 keeps all.
+    n_points
+        Points that the complex is built of; fewer where encounters_per_point says so.
+    encounters_per_point
+        Encounters that must stand behind each point; 0: none.
+    n_anchors
+        Encounters, far apart, that serve as references where a part of the map has too few landmarks.
+    epsilon_share
+        The complex is drawn at this share of the diameter; without it, at the scale that shows the holes best.
+    speed_mps
+        Walking speed [m/s]: lengths are then metres, else seconds.
+    """
 
     method: Method = Method.DEFAULT
     metric: MetricKind | None = None
@@ -81,13 +111,26 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How ``biobot-mapper serve`` is connected.
+    """How ``biobot-mapper serve`` is connected, and what of all encounters it maps.
 
-    ``site`` is the first name in the keys of the bus. ``connect`` and ``listen`` are Zenoh endpoints; a gateway on the same machine listens
-    on the one that is connected to by default. ``store`` is the file of records, None for memory alone: gateways' journals fill it
-    again at each start. ``host`` other than a loopback address needs ``allow_remote``, because there are no users and passwords yet;
-    ``port`` 0 takes a free one. A new map is begun no earlier than ``min_interval_s`` after the one before. Of all encounters only those
-    not over ``window_s`` before the end of the newest one count, None for all; those under way then begin there.
+    Keys
+    ----
+    site
+        The first name in the keys of the bus.
+    connect, listen
+        Zenoh endpoints; a gateway on the same machine listens on the one that is connected to by default.
+    store
+        The file of records; without it they are in memory alone, and gateways' journals fill it again at each start.
+    host, port
+        Address of the page; port 0 takes a free one.
+    allow_remote
+        Let other machines in, which a host other than a loopback address needs: there are no users and passwords yet.
+    min_interval_s
+        A new map is begun no earlier than this after the one before.
+    window_s
+        Only encounters not over this long before the end of the newest one count; without it, all do. Those under way then begin there.
+    log_level
+        DEBUG, INFO, WARNING or ERROR.
     """
 
     site: str = "local"
@@ -112,7 +155,13 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class MapperConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All that one configuration file of the mapper may say; ``biobot-mapper run`` heeds ``recipe`` alone."""
+    """All that one configuration file of the mapper may say; ``biobot-mapper run`` heeds ``recipe`` alone.
+
+    Keys
+    ----
+    recipe, serve
+        Tables of their own.
+    """
 
     recipe: RecipeConfig = RecipeConfig()
     serve: ServiceConfig = ServiceConfig()

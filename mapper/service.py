@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 import sys
+import traceback
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from mapper.intake import Intake
 from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
 from mapper.rips_engines import name_engine
+from mapper.service_manager import ServiceManager
 from mapper.store_thread import StoreThread
 from mapper.types import Method, MetricKind
 
@@ -78,8 +80,17 @@ def main(args: argparse.Namespace) -> int:
     except ExceptionGroup as group:
         known = group.subgroup(MapError)
         if known is None:
-            raise
+            return _crashed(group)
         raise _first(known) from group
+    except MapError:
+        raise
+    except Exception as error:  # noqa: BLE001  # whatever ended the service is one event for those who watch its log
+        return _crashed(error)
+
+
+def _crashed(error: Exception) -> int:
+    _log.error("mapper.crashed", error=f"{type(error).__name__}: {error}", trace="".join(traceback.format_exception(error)))
+    return 1
 
 
 def _first(group: BaseExceptionGroup[MapError]) -> MapError:
@@ -98,6 +109,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
     stopping = asyncio.Event()
     engines = _name_engines()
     async with contextlib.AsyncExitStack() as stack:
+        manager = stack.enter_context(contextlib.closing(ServiceManager.of(os.environ)))
         listener = stack.enter_context(contextlib.closing(_listen(serve)))
         records = await StoreThread.open(Path(serve.store) if serve.store is not None else None)
         stack.push_async_callback(records.aclose)
@@ -140,9 +152,11 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(part.run(), name=type(part).__name__) for part in (intake, desk, current_map)]
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
-            group.create_task(_announce(server, listener, serve=serve, url_file=url_file), name="announce")
+            group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")
+            tasks.append(group.create_task(manager.watch(), name="watchdog"))
             await stopping.wait()
             _log.info("mapper.stopping")
+            manager.stopping()
             stream.close()
             server.should_exit = True
             await serving
@@ -195,9 +209,13 @@ def _server_config(services: Services, stream: EventStream, serve: ServiceConfig
     )
 
 
-async def _announce(server: _Server, listener: socket.socket, *, serve: ServiceConfig, url_file: Path | None) -> None:
+async def _announce(
+    server: _Server, listener: socket.socket, manager: ServiceManager, *, serve: ServiceConfig, url_file: Path | None
+) -> None:
     await server.is_up.wait()
     url = _url(listener)
+    manager.tell(f"map and operator page: {url}")
+    manager.ready()
     _log.info("mapper.up", url=url, site=serve.site, connect=",".join(serve.connect), store=serve.store or "memory")
     print(f"map and operator page: {url}", file=sys.stderr, flush=True)  # noqa: T201  # a person wants to see it among the logs
     if url_file is not None:

@@ -6,13 +6,11 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from enum import Enum
-from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
+from firmware_protocol.configuration_text import configuration_keys, type_name
 from firmware_protocol.errors import ConfigurationError
 from gateway.config import GatewayConfig
 from mapper.config import MapperConfig
@@ -27,9 +25,9 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "biobot-sim": ("simulator", ("run", "resume", "serve", "replay", "render", "scenarios")),
     "biobot-gateway": (
         "gateway",
-        ("run", "list-ports", "probe", "check-radio", "command", "status", "configure", "sniff", "record", "replay", "pcap"),
+        ("run", "list-ports", "probe", "check-radio", "command", "status", "config", "configure", "sniff", "record", "replay", "pcap"),
     ),
-    "biobot-mapper": ("mapper", ("run", "serve", "feasibility", "warm-up")),
+    "biobot-mapper": ("mapper", ("run", "serve", "feasibility", "warm-up", "config")),
 }
 CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {
     "biobot-sim run": RunConfig,
@@ -47,51 +45,12 @@ VARIABLES: dict[str, tuple[type[Enum], str]] = {
     ),
 }
 
-_LIMITS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
-
 
 def help_text(module: str, command: str | None) -> str:
     """Return what ``python -m module [command] --help`` prints."""
     arguments = [sys.executable, "-m", module, *([command] if command else []), "--help"]
     environment = {**os.environ, "COLUMNS": "110", "NO_COLOR": "1", "PYTHON_COLORS": "0"}
     return subprocess.run(arguments, env=environment, check=True, capture_output=True, text=True).stdout
-
-
-def configuration_keys(config: type[msgspec.Struct], prefix: str = "") -> Iterator[tuple[str, str, str]]:
-    """Yield dotted key, type and default of every key of a configuration."""
-    for one in msgspec.structs.fields(config):
-        key = prefix + one.encode_name
-        if isinstance(one.type, type) and issubclass(one.type, msgspec.Struct):
-            yield from configuration_keys(one.type, f"{key}.")
-        else:
-            yield (
-                key,
-                _type_name(one.type),
-                "required" if one.required else f"`{msgspec.json.encode(_default(one), enc_hook=str).decode()}`",
-            )
-
-
-def _default(one: msgspec.structs.FieldInfo) -> object:
-    return one.default if one.default is not msgspec.NODEFAULT else one.default_factory()
-
-
-def _type_name(annotation: Any) -> str:
-    origin = get_origin(annotation)
-    if origin is Annotated:
-        base, *notes = get_args(annotation)
-        limits = [
-            f"{sign} {getattr(note, name):g}" for note in notes for name, sign in _LIMITS.items() if getattr(note, name, None) is not None
-        ]
-        return " ".join([_type_name(base), ", ".join(limits)]).rstrip()
-    if origin in {Union, UnionType}:
-        return " or ".join(_type_name(one) for one in get_args(annotation))
-    if origin is Literal:
-        return " or ".join(f"`{one}`" for one in get_args(annotation))
-    if origin is tuple:
-        return f"list of {_type_name(get_args(annotation)[0])}"
-    if isinstance(annotation, type) and issubclass(annotation, Enum):
-        return " or ".join(f"`{one.value}`" for one in annotation)
-    return "none" if annotation is type(None) else str(getattr(annotation, "__name__", annotation))
 
 
 def reference() -> str:
@@ -111,7 +70,7 @@ def reference() -> str:
         parts += ["", f"### {title}", "", "| key | type | default |", "|---|---|---|"]
         parts += [f"| `{key}` | {kind} | {default} |" for key, kind, default in configuration_keys(config)]
     parts += ["", "## Further environment variables", "", "| variable | value | meaning |", "|---|---|---|"]
-    parts += [f"| `{name}` | {_type_name(kind)} | {meaning} |" for name, (kind, meaning) in VARIABLES.items()]
+    parts += [f"| `{name}` | {type_name(kind)} | {meaning} |" for name, (kind, meaning) in VARIABLES.items()]
     return "\n".join(parts) + "\n"
 
 

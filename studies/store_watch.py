@@ -13,9 +13,9 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
+
 import numpy as np
 
-from firmware_protocol.units import NS_PER_S
 from mapper.bus import Bus
 from mapper.changes import Changes
 from mapper.fleet import Fleet

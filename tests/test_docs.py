@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from studies.reference import COMMANDS, CONFIGURATIONS, VARIABLES, configuration_keys, help_text
+from firmware_protocol.configuration_text import configuration_keys
+from studies.reference import COMMANDS, CONFIGURATIONS, VARIABLES, help_text
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()

@@ -174,6 +174,26 @@ class HistoryRequest(Struct, frozen=True, kw_only=True):
     limit: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 10_000
 
 
+class RadioReport(Struct, frozen=True, kw_only=True):
+    """What a gateway tells of one of its radios, for people."""
+
+    state: str
+    """connecting, up or down."""
+    since_wall_ns: Nanoseconds
+    reason: str = ""
+    """Why it is down."""
+    attempts: _Count = 0
+    """How often it was tried since."""
+    firmware: str = ""
+    """What its dongle last said that it is."""
+    n_messages: _Count = 0
+    """Payloads that came from it since the gateway started."""
+    n_bytes: _Count = 0
+    """Bytes that came from it since then."""
+    n_faults: _Count = 0
+    """How often it was lost, or could not be opened, since then."""
+
+
 class GatewayStatus(Struct, frozen=True, kw_only=True):
     """State of a gateway; published every second and not journaled."""
 
@@ -189,6 +209,19 @@ class GatewayStatus(Struct, frozen=True, kw_only=True):
     """See RecordBatch."""
     watermarks: dict[str, int] = {}
     """Mapper's name to the offset up to which it has said to have everything on disk."""
+    radio_reports: dict[str, RadioReport] = {}
+    """More of each radio; empty: the gateway is older than this field."""
+    started_wall_ns: Nanoseconds = Nanoseconds(0)
+    n_biobots: _Count = 0
+    """Biobots that it knows since it started."""
+    journal_bytes: int | None = None
+    """Bytes that the journal's files take."""
+    disk_free_bytes: int | None = None
+    """Bytes that the gateway may still write where the journal lies."""
+    faults: tuple[str, ...] = ()
+    """What is wrong, in words; a person may have to act."""
+    missing: tuple[str, ...] = ()
+    """What it waits for until it is of use: a radio, a router."""
 
 
 class Watermark(Struct, frozen=True, kw_only=True):

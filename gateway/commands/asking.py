@@ -1,4 +1,4 @@
-"""``biobot-gateway command`` and ``status``: what is asked of a gateway that runs already."""
+"""``biobot-gateway command``, and the flags that say which gateway is asked."""
 
 import argparse
 import json
@@ -15,15 +15,14 @@ from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.commands.outcome import DONE, FAILED, complain
 
 _COMMAND_TIMEOUT_S = 30.0
-_STATUS_TIMEOUT_S = 5.0
-_ENDPOINT = "tcp/127.0.0.1:7447"
+ENDPOINT = "tcp/127.0.0.1:7447"
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``status``, which those of ``command`` begin with."""
     parser.add_argument("--gateway", help="its name; needed where a site has several")
     parser.add_argument("--site", default="local", help="name of the site (default: local)")
-    parser.add_argument("--connect", action="append", metavar="EP", help=f"Zenoh endpoint (default: {_ENDPOINT})")
+    parser.add_argument("--connect", action="append", metavar="EP", help=f"Zenoh endpoint (default: {ENDPOINT})")
 
 
 def add_command_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,22 +35,9 @@ def add_command_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ttl-ms", type=int, default=5000, metavar="MS", help="the command is void after this (default: 5000)")
 
 
-def ask_status(options: argparse.Namespace) -> int:
-    """Print what a gateway says of itself."""
-    from gateway.bus import read_status  # noqa: PLC0415  # Zenoh loads 33 MB, which --help does not need
-
-    check_name(options.site, what="site")
-    status = read_status(site=options.site, gateway=options.gateway, connect=options.connect or [_ENDPOINT], timeout_s=_STATUS_TIMEOUT_S)
-    if status is None:
-        complain(f"no gateway has told its status within {_STATUS_TIMEOUT_S:g} s; is it running, and are --site and --connect its own?")
-        return FAILED
-    print(json.dumps(msgspec.to_builtins(status), indent=2))
-    return DONE
-
-
 def command(options: argparse.Namespace) -> int:
     """Command a biobot, and print each stage of the answer."""
-    from gateway.bus import send_command  # noqa: PLC0415  # same as above
+    from gateway.bus import send_command  # noqa: PLC0415  # Zenoh loads 33 MB, which --help does not need
 
     check_name(options.site, what="site")
     try:
@@ -77,7 +63,7 @@ def command(options: argparse.Namespace) -> int:
         )
         raise ConfigurationError([f"command: {told}; biobot-gateway command --help tells more"]) from error
     outcome: Stage | None = None
-    connect = options.connect or [_ENDPOINT]
+    connect = options.connect or [ENDPOINT]
     for stage in send_command(request, site=options.site, gateway=options.gateway, connect=connect, timeout_s=_COMMAND_TIMEOUT_S):
         outcome = stage.stage
         print(json.dumps(msgspec.to_builtins(stage)), flush=True)

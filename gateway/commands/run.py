@@ -9,12 +9,20 @@ from pathlib import Path
 import msgspec
 
 from firmware_protocol.errors import ConfigurationError
-from gateway.commands.outcome import DONE
-from gateway.config import GatewayConfig, load_gateway_config
-from gateway.errors import TransportSpecError
-from gateway.log import set_up_logging
-from gateway.transports.can_spec import CanSpec
-from gateway.transports.spec import parse_port_spec
+from gateway.commands.outcome import DONE, FAILED
+from gateway.config_loading import load_gateway_config
+from gateway.errors import GatewayError
+from gateway.log import EventLog, describe, set_up_logging
+
+_log = EventLog(__name__)
+
+_FLAG_NAMES = {
+    "ports": "--port",
+    "recording.directory": "--record",
+    "mission.is_enabled": "--mission",
+    "mission.n_landmarks": "--landmarks",
+    "monitor.listen": "--monitor",
+}
 
 
 def add_config(parser: argparse.ArgumentParser, *, default: object) -> None:
@@ -44,7 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--landmarks", type=int, metavar="N", help="how many landmarks (default: a share of the biobots)")
     parser.add_argument("--landmark-share", type=float, metavar="X", help="that share (default: 0.15)")
     parser.add_argument("--exploration-s", type=float, metavar="S", help="how long exploration lasts (default: until stopped)")
+    parser.add_argument("--monitor", metavar="HOST:PORT", help="answer /metrics, /healthz and /readyz over HTTP here (default: nowhere)")
     parser.add_argument("--log-level", choices=["DEBUG", "INFO", "WARNING", "ERROR"])
+    parser.add_argument("--log-format", choices=["auto", "text", "json"], help="auto: text on a terminal, else JSON (default: auto)")
     # SUPPRESS: what was given before the word "run" stays when it is not given again after it.
     add_config(parser, default=argparse.SUPPRESS)
 
@@ -53,7 +63,7 @@ def check_alone(options: argparse.Namespace) -> int:
     """Print the configuration without a command, or say that a command is missing."""
     if not options.check_config:
         raise ConfigurationError(["no command: give run, list-ports, probe or another; biobot-gateway --help lists all"])
-    config = load_gateway_config(toml_path=options.config, environment=os.environ, flags={})
+    config = load_gateway_config(toml_path=options.config, environment=os.environ, needs_radio=False)
     print(json.dumps(msgspec.to_builtins(config), indent=2))
     return DONE
 
@@ -72,45 +82,27 @@ def run(options: argparse.Namespace) -> int:
             "listen": options.listen,
             "connect": options.connect,
             "log_level": options.log_level,
+            "log_format": options.log_format,
+            "monitor.listen": options.monitor,
             "mission.is_enabled": options.mission,
             "mission.dispersion_s": options.dispersion_s,
             "mission.n_landmarks": options.landmarks,
             "mission.landmark_share": options.landmark_share,
             "mission.exploration_s": options.exploration_s,
         },
+        flag_names=_FLAG_NAMES,
     )
-    _check_ports(config)
     if options.check_config:
         print(json.dumps(msgspec.to_builtins(config), indent=2))
         return DONE
-    set_up_logging(level=config.log_level)
-    from gateway.service import run_gateway  # noqa: PLC0415  # Zenoh loads 33 MB, which --help and --check-config do not need
+    set_up_logging(level=config.log_level, log_format=config.log_format)
+    try:
+        from gateway.service import run_gateway  # noqa: PLC0415  # Zenoh loads 33 MB, which --help and --check-config do not need
 
-    asyncio.run(run_gateway(config))
+        asyncio.run(run_gateway(config))
+    except GatewayError:
+        raise
+    except Exception as error:  # noqa: BLE001  # whatever ended the gateway is one event for those who watch its log
+        _log.error("gateway.crashed", **describe(error))
+        return FAILED
     return DONE
-
-
-def _check_ports(config: GatewayConfig) -> None:
-    problems = []
-    names: set[str] = set()
-    buses: dict[str, CanSpec] = {}
-    for spec in config.ports:
-        try:
-            port = parse_port_spec(spec)
-            name = port.name
-            if name in names:
-                problems.append(f"port {name} is named twice")
-            names.add(name)
-            if isinstance(port, CanSpec) and port.bus_options != buses.setdefault(port.bus_name, port).bus_options:
-                problems.append(
-                    f"port {name} has {port.bus_options}, but another unit of the same bus {buses[port.bus_name].bus_options}: "
-                    "they are the same for all units of a bus"
-                )
-        except TransportSpecError as error:
-            problems.append(str(error))
-    if not config.ports:
-        problems.append(
-            "no radio: name at least one with --port, such as --port serial:/dev/ttyACM0; `biobot-gateway list-ports` shows them"
-        )
-    if problems:
-        raise ConfigurationError(problems)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import msgspec
 import pytest
 
-from firmware_protocol.configuration import load_configuration
+from firmware_protocol.configuration import Unfit, load_configuration
 from firmware_protocol.errors import ConfigurationError
 
 
@@ -99,3 +99,36 @@ def test_a_rule_between_fields_is_reported_as_a_fault() -> None:
 def test_broken_toml_is_a_configuration_error(text: str) -> None:
     with pytest.raises(ConfigurationError):
         load(toml_text=text)
+
+
+def check(config: Config) -> list[Unfit]:
+    return [
+        Unfit(keys=("timeout_s", "serial.baud"), reason=f"timeout_s is {config.timeout_s}, too short for serial.baud"),
+        Unfit(keys=("site",), reason="site: is far"),
+    ]
+
+
+def test_what_types_cannot_say_is_told_in_the_same_round_with_its_source() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        load(toml_text="timeout_s = 0.5\nports = 3\n", flags={"site": "x"}, flag_names={"site": "--where"}, check=check)
+
+    unfit_type, too_short, far = caught.value.problems
+    assert unfit_type.startswith("x.toml: ports is 3")
+    assert too_short == "x.toml: timeout_s is 0.5, too short for serial.baud"
+    assert far == "--where: site: is far"
+
+
+def test_what_follows_from_an_unfit_value_alone_is_not_told() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        load(toml_text="timeout_s = 0.5\n[serial]\nbaud = -1\n", check=check)
+
+    assert len(caught.value.problems) == 2
+    assert "serial.baud is -1" in caught.value.problems[0]
+    assert caught.value.problems[1] == "site: is far"
+
+
+def test_faults_of_other_sources_are_told_beside_a_file_that_is_no_toml() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        load(toml_text="= 3", environment={"BIOBOT_X__TIMEOUT_S": "soon"}, check=check)
+
+    assert ["not valid TOML" in problem for problem in caught.value.problems] == [True, False]

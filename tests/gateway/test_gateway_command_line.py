@@ -152,7 +152,7 @@ def test_a_second_gateway_of_the_same_name_at_a_site_is_refused(tmp_path: Path) 
     command = [sys.executable, "-m", "gateway", "run", "--port", "tcp:127.0.0.1:1", "--listen", endpoint]
     with subprocess.Popen(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(_ROOT)}, stderr=subprocess.DEVNULL) as gateway:
         try:
-            assert _gateway("status", "--connect", endpoint, cwd=tmp_path).returncode == 0
+            told = _gateway("status", "--connect", endpoint, cwd=tmp_path)
             other = ["run", "--port", "tcp:127.0.0.1:1", "--journal", "b.sqlite", "--listen", f"tcp/127.0.0.1:{free_port()}"]
             result = _gateway(*other, "--connect", endpoint, cwd=tmp_path)
         finally:
@@ -160,6 +160,9 @@ def test_a_second_gateway_of_the_same_name_at_a_site_is_refused(tmp_path: Path) 
 
     assert result.returncode == 1
     assert "another --name" in result.stderr
+    status = json.loads(told.stdout)
+    assert status["missing"] == ["no radio is up: tcp:127.0.0.1:1 is down"] or "refused" in status["missing"][0]
+    assert status["radio_reports"]["tcp:127.0.0.1:1"]["state"] == "down"
 
 
 def test_no_command_is_bad_usage(tmp_path: Path) -> None:

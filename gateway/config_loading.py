@@ -1,0 +1,192 @@
+"""Build the gateway's configuration from its four sources, and find all that is wrong with it at once.
+
+Types and limits of single values stand in ``config``; here is what they cannot say: names, ports, values that must fit each other, and
+whether files can be where they are wanted. Nothing is made or opened.
+"""
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from firmware_protocol.configuration import Unfit, load_configuration
+from firmware_protocol.contract.keys import check_name
+from firmware_protocol.errors import ConfigurationError, KeyExpressionError
+from firmware_protocol.messages import OWN_CHANNEL
+from gateway.config import GatewayConfig, StimulationTable, WaveformName
+from gateway.errors import TransportSpecError
+from gateway.transports.can_spec import CanSpec
+from gateway.transports.spec import parse_port_spec
+
+ENVIRONMENT_PREFIX = "BIOBOT_GATEWAY"
+
+_LAST_CHANNEL = 7  # WIRE_FORMAT.md §5.8: Limits has eight bits for them
+_LINKS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
+"""Kinds of link that the Zenoh library on PyPI has (measured, eclipse-zenoh 1.10)."""
+
+
+def load_gateway_config(
+    *,
+    toml_path: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+    flags: Mapping[str, object] | None = None,
+    flag_names: Mapping[str, str] | None = None,
+    needs_radio: bool = True,
+) -> GatewayConfig:
+    """Build the configuration from its four sources and check what types cannot say.
+
+    Parameters
+    ----------
+    flags, flag_names
+        See ``load_configuration``.
+    needs_radio
+        Whether a configuration that names no radio is a fault.
+
+    Raises
+    ------
+    ConfigurationError
+        With one line for each fault of all sources.
+    """
+    toml_text = None
+    if toml_path is not None:
+        try:
+            toml_text = toml_path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigurationError([f"{toml_path}: cannot be read: {error}"]) from error
+
+    def check(config: GatewayConfig) -> Iterator[Unfit]:
+        yield from _name_problems(config)
+        yield from _port_problems(config, needs_radio=needs_radio)
+        yield from _endpoint_problems(config)
+        yield from _place_problems(config)
+        yield from _monitor_problems(config)
+        yield from _pulse_problems(config.stimulation)
+        yield from _threshold_problems(config)
+
+    return load_configuration(
+        GatewayConfig,
+        toml_text=toml_text,
+        toml_name=str(toml_path),
+        environment=environment,
+        environment_prefix=ENVIRONMENT_PREFIX,
+        flags=flags,
+        flag_names=flag_names,
+        check=check,
+    )
+
+
+def read_address(text: str) -> tuple[str, int]:
+    """Return host and port of ``HOST:PORT`` or ``[V6]:PORT``; raises ``ValueError`` for anything else. Port 0 takes a free one."""
+    found = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([^\s:\[\]]+)):([0-9]{1,5})", text)
+    if found is None or int(found[3]) > 65_535:
+        raise ValueError(f"{text!r} is no HOST:PORT, such as 127.0.0.1:9466 or [::1]:9466")
+    return found[1] or found[2], int(found[3])
+
+
+def _name_problems(config: GatewayConfig) -> Iterator[Unfit]:
+    for key, name, what in (("site", config.site, "site"), ("name", config.name, "gateway")):
+        try:
+            check_name(name, what=what)
+        except KeyExpressionError as error:
+            yield Unfit(keys=(key,), reason=f"{key}: {error}")
+
+
+def _port_problems(config: GatewayConfig, *, needs_radio: bool) -> Iterator[Unfit]:
+    names: set[str] = set()
+    buses: dict[str, CanSpec] = {}
+    for spec in config.ports:
+        try:
+            port = parse_port_spec(spec)
+        except TransportSpecError as error:
+            yield Unfit(keys=("ports",), reason=str(error))
+            continue
+        if port.name in names:
+            yield Unfit(keys=("ports",), reason=f"port {port.name} is named twice; name each radio once")
+        names.add(port.name)
+        if isinstance(port, CanSpec) and port.bus_options != buses.setdefault(port.bus_name, port).bus_options:
+            yield Unfit(
+                keys=("ports",),
+                reason=f"port {port.name} has {port.bus_options}, but another unit of the same bus {buses[port.bus_name].bus_options}: "
+                "they are the same for all units of a bus",
+            )
+    if needs_radio and not config.ports:
+        advice = "name at least one with --port, such as --port serial:/dev/ttyACM0; `biobot-gateway list-ports` shows them"
+        yield Unfit(keys=("ports",), reason=f"no radio: {advice}")
+
+
+def _endpoint_problems(config: GatewayConfig) -> Iterator[Unfit]:
+    for key, endpoints in (("listen", config.listen), ("connect", config.connect)):
+        for endpoint in endpoints:
+            link, slash, address = endpoint.partition("/")
+            if not slash or not address or link not in _LINKS:
+                wanted = f"must be LINK/ADDRESS with one of the links {', '.join(_LINKS)}, such as tcp/127.0.0.1:7447"
+                yield Unfit(keys=(key,), reason=f"{key}: endpoint {endpoint!r} {wanted}")
+
+
+def _place_problems(config: GatewayConfig) -> Iterator[Unfit]:
+    if why := _why_no_file(Path(config.journal)):
+        yield Unfit(keys=("journal",), reason=f"journal {config.journal}: {why}")
+    directory = config.recording.directory
+    if directory is not None and (why := _why_no_directory(Path(directory))):
+        yield Unfit(keys=("recording.directory",), reason=f"recording.directory {directory}: {why}")
+
+
+def _monitor_problems(config: GatewayConfig) -> Iterator[Unfit]:
+    if config.monitor.listen:
+        try:
+            read_address(config.monitor.listen)
+        except ValueError as error:
+            yield Unfit(keys=("monitor.listen",), reason=f"monitor.listen: {error}; leave it empty to answer nowhere")
+
+
+def _pulse_problems(table: StimulationTable) -> Iterator[Unfit]:
+    # Every phase of a pulse has the pulse width, or more where it is the weaker one; all of them must fit into one period.
+    n_phases = 1 if table.waveform is WaveformName.MONOPHASIC else 2
+    period_us = 1_000_000 // table.frequency_hz
+    if n_phases * table.pulse_width_us > period_us:
+        phases = "one phase" if n_phases == 1 else "two phases"
+        limit = f"{phases} must fit into the {period_us} us period of {table.frequency_hz} Hz: at most {period_us // n_phases}"
+        yield Unfit(
+            keys=("stimulation.pulse_width_us", "stimulation.frequency_hz", "stimulation.waveform"),
+            reason=f"stimulation.pulse_width_us is {table.pulse_width_us}, but {limit}",
+        )
+    if _LAST_CHANNEL < table.channel < OWN_CHANNEL:
+        limit = f"a backpack has channels 0 to {_LAST_CHANNEL}; {OWN_CHANNEL} leaves it to the backpack"
+        yield Unfit(keys=("stimulation.channel",), reason=f"stimulation.channel is {table.channel}, but {limit}")
+
+
+def _threshold_problems(config: GatewayConfig) -> Iterator[Unfit]:
+    enter, leave = config.backpacks.rssi_enter_dbm, config.backpacks.rssi_exit_dbm
+    if enter is not None and leave is not None and leave > enter:
+        limit = f"it must not be above backpacks.rssi_enter_dbm = {enter}, or encounters would end as they begin"
+        yield Unfit(keys=("backpacks.rssi_exit_dbm", "backpacks.rssi_enter_dbm"), reason=f"backpacks.rssi_exit_dbm is {leave}, but {limit}")
+
+
+def _why_no_file(path: Path) -> str:
+    """Return why a file cannot be written there, or nothing. Root may write what its file system lets it."""
+    try:
+        return _why_unfit_file(path)
+    except (OSError, ValueError) as error:
+        return f"cannot be looked at: {error}"
+
+
+def _why_unfit_file(path: Path) -> str:
+    if path.is_dir():
+        return "is a directory; name a file"
+    if path.exists():
+        return "" if os.access(path, os.R_OK | os.W_OK) else "cannot be read and written by this user; give it to the gateway's user"
+    folder = path.parent
+    if not folder.is_dir():
+        return f"{folder} is no directory; make it, or name a file elsewhere"
+    return "" if os.access(folder, os.W_OK | os.X_OK) else f"nothing can be made in {folder} by this user; give it to the gateway's user"
+
+
+def _why_no_directory(path: Path) -> str:
+    """Return why a directory cannot be there and be written to, or nothing."""
+    try:
+        there = next(place for place in (path, *path.absolute().parents) if place.exists())
+    except (OSError, ValueError) as error:
+        return f"cannot be looked at: {error}"
+    if not there.is_dir():
+        return f"{there} is a file; name a directory"
+    return "" if os.access(there, os.W_OK | os.X_OK) else f"nothing can be made in {there} by this user; give it to the gateway's user"
