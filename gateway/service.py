@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, StimulationRequest
+from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, RadioReport, StimulationRequest
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level
@@ -16,11 +16,11 @@ from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
 from gateway.bus import Bus, CommandAnswer
 from gateway.clocks import ClockBook
-from gateway.config import GatewayConfig
+from gateway.config import GatewayConfig, LinkTable
 from gateway.configurator import Configurator
 from gateway.coordinator import Coordinator
 from gateway.downlink import DownlinkSender
-from gateway.health import Health, RadioState
+from gateway.health import Health, RadioCondition, RadioState
 from gateway.inquiries import Inquirer
 from gateway.intake import Intake, IntakeListeners
 from gateway.issuer import RecordIssuer
@@ -32,7 +32,8 @@ from gateway.recordings.radio_recorders import open_recorded, recording_radios
 from gateway.recordings.recorder import Recorder
 from gateway.stimulation import StimulationGate
 from gateway.transports.can_port import CanBuses
-from gateway.transports.spec import PortSpec, parse_port_spec
+from gateway.transports.fair_share import BEGUN, FairShare, LoopLoad
+from gateway.transports.spec import PortSpec, can_reset, parse_port_spec
 
 _log = EventLog(__name__)
 _SAY = {Level.DEBUG: _log.debug, Level.INFO: _log.info, Level.WARNING: _log.warning, Level.ERROR: _log.error}
@@ -105,11 +106,19 @@ class Service:
             now_ns=now_ns,
         )
         can_buses = CanBuses()
+        load, on_flood = LoopLoad(n_radios=len(ports)), partial(self._on_flood, bus)
+        shares = {
+            name: FairShare(radio=name, load=load, max_bytes_per_s=config.link.max_bytes_per_s, health=health, on_flood=on_flood)
+            for name in ports
+        }
         coordinators = {
             name: Coordinator(
                 radio=name,
-                make_host=partial(_make_host, spec),
-                open_port=partial(open_recorded, spec, recorders.get(name), can_buses=can_buses),
+                make_host=partial(_make_host, spec, config.link),
+                open_port=shares[name].opening(partial(open_recorded, spec, recorders.get(name), can_buses=can_buses)),
+                reset_port=shares[name].opening(partial(open_recorded, spec, recorders.get(name), is_reset=True))
+                if can_reset(spec)
+                else None,
                 on_radio=intake.take,
                 config=config.link,
                 health=health,
@@ -204,6 +213,10 @@ class Service:
         level = "info" if state is RadioState.UP else "warning"
         self._publish_event(bus, level=level, kind=f"radio.{state.value}", facts={"radio": radio, "reason": reason})
 
+    def _on_flood(self, bus: Bus, radio: str, kind: str, text: str) -> None:
+        level = "warning" if kind == BEGUN else "info"
+        self._publish_event(bus, level=level, kind=kind, facts={"radio": radio, "reason": text})
+
     def _on_duplicate(self, bus: Bus, node: NodeId, before: int, after: int) -> None:
         facts = {"node": str(node), "eui64_before": f"{before:016x}", "eui64": f"{after:016x}"}
         _log.warning("node.duplicate", **facts)
@@ -240,6 +253,7 @@ class Service:
                     radios=self._health.radios(),
                     counters=self._health.counters(),
                     oldest_offset=journal.oldest_offset,
+                    radio_reports={name: _report_of(one) for name, one in self._health.radio_conditions().items()},
                 )
             )
             await asyncio.sleep(_STATUS_PERIOD_S)
@@ -262,6 +276,17 @@ async def run_gateway(config: GatewayConfig) -> None:
     await service.run()
 
 
-def _make_host(spec: PortSpec) -> Host:
+def _make_host(spec: PortSpec, link: LinkTable) -> Host:
     # A dongle may still tell of payloads of an earlier process: their numbers must not be those of this one.
-    return make_host(spec.dialect, first_handle=random.randrange(1 << 16), network=spec.network)
+    idle_ns = int(link.idle_s * NS_PER_S)
+    return make_host(spec.dialect, first_handle=random.randrange(1 << 16), network=spec.network, idle_ns=idle_ns)
+
+
+def _report_of(condition: RadioCondition) -> RadioReport:
+    return RadioReport(
+        state=condition.state.value,
+        since_wall_ns=Nanoseconds(condition.since_wall_ns),
+        reason=condition.reason,
+        attempts=condition.n_attempts,
+        firmware=condition.firmware,
+    )

@@ -174,6 +174,20 @@ class HistoryRequest(Struct, frozen=True, kw_only=True):
     limit: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 10_000
 
 
+class RadioReport(Struct, frozen=True, kw_only=True):
+    """What a gateway tells of one of its radios, for people."""
+
+    state: str
+    """connecting, up or down."""
+    since_wall_ns: Nanoseconds
+    reason: str = ""
+    """Why it is down."""
+    attempts: _Count = 0
+    """How often it was tried since."""
+    firmware: str = ""
+    """What its dongle last said that it is."""
+
+
 class GatewayStatus(Struct, frozen=True, kw_only=True):
     """State of a gateway; published every second and not journaled."""
 
@@ -187,6 +201,8 @@ class GatewayStatus(Struct, frozen=True, kw_only=True):
     counters: dict[str, int]
     oldest_offset: _Offset = 1
     """See RecordBatch."""
+    radio_reports: dict[str, RadioReport] = {}
+    """More of each radio; empty: the gateway is older than this field."""
 
 
 class BackpackLimits(Struct, frozen=True, kw_only=True):

@@ -11,10 +11,8 @@ import msgspec
 from firmware_protocol.errors import ConfigurationError
 from gateway.commands.outcome import DONE
 from gateway.config import GatewayConfig, load_gateway_config
-from gateway.errors import TransportSpecError
 from gateway.log import set_up_logging
-from gateway.transports.can_spec import CanSpec
-from gateway.transports.spec import parse_port_spec
+from gateway.transports.spec import port_problems
 
 
 def add_config(parser: argparse.ArgumentParser, *, default: object) -> None:
@@ -91,23 +89,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_ports(config: GatewayConfig) -> None:
-    problems = []
-    names: set[str] = set()
-    buses: dict[str, CanSpec] = {}
-    for spec in config.ports:
-        try:
-            port = parse_port_spec(spec)
-            name = port.name
-            if name in names:
-                problems.append(f"port {name} is named twice")
-            names.add(name)
-            if isinstance(port, CanSpec) and port.bus_options != buses.setdefault(port.bus_name, port).bus_options:
-                problems.append(
-                    f"port {name} has {port.bus_options}, but another unit of the same bus {buses[port.bus_name].bus_options}: "
-                    "they are the same for all units of a bus"
-                )
-        except TransportSpecError as error:
-            problems.append(str(error))
+    problems = port_problems(config.ports)
     if not config.ports:
         problems.append(
             "no radio: name at least one with --port, such as --port serial:/dev/ttyACM0; `biobot-gateway list-ports` shows them"
