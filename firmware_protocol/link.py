@@ -281,7 +281,11 @@ class Link:
         self._push(_Kind.NEED_RESET, 0)
 
     def _push(self, kind: _Kind, sequence: int, payload: bytes = b"") -> None:
-        self._frames.append(_HEADER.pack(kind, self._session, sequence) + payload)
+        frame = _HEADER.pack(kind, self._session, sequence) + payload
+        if (
+            payload or not self._frames or self._frames[-1] != frame
+        ):  # what is about to be said is not said twice, however often it was asked
+            self._frames.append(frame)
 
     def _begin(self, session: int) -> None:
         self._session = session & 0xFFFF

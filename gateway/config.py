@@ -19,7 +19,15 @@ class LinkTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     Keys
     ----
     first_backoff_s, max_backoff_s
-        Pause before a lost port is opened again: the first one, and the longest it grows to by doubling.
+        Pause before a lost port is opened again: the first one, and the longest it grows to by doubling; each is drawn at random from its
+        upper half. A port is tried for ever, at least once a minute.
+    idle_s
+        A dongle that has said nothing for so long is asked whether it is there, and given up when it has not answered some times in a row.
+    silences_before_reset
+        A dongle that was given up, or did not answer, so many times in a row is reset by its line where its port says how (``reset=``);
+        0: never.
+    max_bytes_per_s
+        What one radio may say, on average; one that says more is read more slowly, so that others do not wait. No serial line says so much.
     open_timeout_s
         A port that is open but does not answer for so long is closed and opened again.
     radio_timeout_s
@@ -27,7 +35,10 @@ class LinkTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """
 
     first_backoff_s: _Seconds = 0.2
-    max_backoff_s: _Seconds = 10.0
+    max_backoff_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 10.0
+    idle_s: Annotated[float, msgspec.Meta(ge=0.5, le=60)] = 3.0
+    silences_before_reset: Annotated[int, msgspec.Meta(ge=0, le=100)] = 1
+    max_bytes_per_s: Annotated[float, msgspec.Meta(ge=10_000, le=1e9)] = 500_000.0
     open_timeout_s: _Seconds = 5.0
     radio_timeout_s: _Seconds = 6.0
 

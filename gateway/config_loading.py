@@ -14,9 +14,7 @@ from firmware_protocol.contract.keys import check_name
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
 from firmware_protocol.messages import OWN_CHANNEL
 from gateway.config import GatewayConfig, StimulationTable, WaveformName
-from gateway.errors import TransportSpecError
-from gateway.transports.can_spec import CanSpec
-from gateway.transports.spec import parse_port_spec
+from gateway.transports.spec import port_problems
 
 ENVIRONMENT_PREFIX = "BIOBOT_GATEWAY"
 
@@ -92,23 +90,8 @@ def _name_problems(config: GatewayConfig) -> Iterator[Unfit]:
 
 
 def _port_problems(config: GatewayConfig, *, needs_radio: bool) -> Iterator[Unfit]:
-    names: set[str] = set()
-    buses: dict[str, CanSpec] = {}
-    for spec in config.ports:
-        try:
-            port = parse_port_spec(spec)
-        except TransportSpecError as error:
-            yield Unfit(keys=("ports",), reason=str(error))
-            continue
-        if port.name in names:
-            yield Unfit(keys=("ports",), reason=f"port {port.name} is named twice; name each radio once")
-        names.add(port.name)
-        if isinstance(port, CanSpec) and port.bus_options != buses.setdefault(port.bus_name, port).bus_options:
-            yield Unfit(
-                keys=("ports",),
-                reason=f"port {port.name} has {port.bus_options}, but another unit of the same bus {buses[port.bus_name].bus_options}: "
-                "they are the same for all units of a bus",
-            )
+    for reason in port_problems(config.ports):
+        yield Unfit(keys=("ports",), reason=reason)
     if needs_radio and not config.ports:
         advice = "name at least one with --port, such as --port serial:/dev/ttyACM0; `biobot-gateway list-ports` shows them"
         yield Unfit(keys=("ports",), reason=f"no radio: {advice}")

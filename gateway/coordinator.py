@@ -6,11 +6,9 @@ done. Downward, ``send`` gives each payload a future with what became of it; not
 """
 
 import asyncio
-import random
 import time
 import traceback
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 
 from firmware_protocol.dialects.interface import (
     CoordinatorIdentified,
@@ -27,13 +25,17 @@ from firmware_protocol.dialects.interface import (
 from firmware_protocol.envelope import CoordinatorHello
 from firmware_protocol.errors import LinkFullError
 from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, ShortAddress
+from gateway.backoff import Backoff
 from gateway.config import LinkTable
-from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError
-from gateway.health import Health, RadioState
+from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError, TransportHangsError, TransportSilentError
+from gateway.health import Health
 from gateway.journal_file import SESSIONS_PER_START
 from gateway.log import EventLog
+from gateway.log_ration import LogRation
+from gateway.outage import OnState, Outage
 from gateway.radio import Fate, RadioMessage, RadioOutcome, outcome_of
 from gateway.receipts import Receipts
+from gateway.sendings import Sendings
 from gateway.transports.interface import Transport
 
 _log = EventLog(__name__)
@@ -45,14 +47,6 @@ _STEADY_NS = 5 * NS_PER_S
 """A session that lasted so long was a good one: the next opening is tried at once, or after the first pause."""
 
 _SAID = {0: _log.debug, 1: _log.info, 2: _log.warning, 3: _log.error}
-
-
-@dataclass(slots=True)
-class _Sending:
-    """A payload on its way down."""
-
-    future: asyncio.Future[RadioOutcome]
-    deadline_ns: int
 
 
 class Coordinator:
@@ -67,6 +61,8 @@ class Coordinator:
         numbers in use stays. After a fault that nobody thought of, another is made.
     open_port
         Opens the transport; raises ``TransportError``.
+    reset_port
+        Opens it with its dongle reset, where that can be done.
     on_radio
         Takes a radio payload; returns a future that is done when all that the payload says is on disk, or None where there
         is nothing to wait for.
@@ -85,7 +81,8 @@ class Coordinator:
         config: LinkTable,
         health: Health,
         first_session: int,
-        on_state: Callable[[str, RadioState, str], None] | None = None,
+        on_state: OnState | None = None,
+        reset_port: Callable[[], Awaitable[Transport]] | None = None,
     ) -> None:
         self.radio = radio
         self.hello: CoordinatorHello | None = None
@@ -94,23 +91,24 @@ class Coordinator:
         self._on_radio = on_radio
         self._config = config
         self._health = health
-        self._on_state = on_state
-        self._make_host = make_host
+        self._reset_port = reset_port
         self._host = make_host()
         self._is_held = False
         self._wake = asyncio.Event()
         self._first_session = first_session
         self._n_sessions = 0
         self._receipts = Receipts()
-        self._sendings: dict[int, _Sending] = {}
+        self._sendings = Sendings(health=health)
         self._opening_until_ns = 0
         self._reopen_at_ns: int | None = None
         self._reopen_pause_s = 0.0
         self._opened_ns: int | None = None
         self._was_steady = False
-        self._down_since_ns: int | None = None
-        self._n_attempts = 0
-        health.set_radio(radio, RadioState.CONNECTING)
+        self._n_silences = 0
+        """How many times in a row the dongle did not answer."""
+        self._hanging: TransportHangsError | None = None
+        self._outage = Outage(radio=radio, health=health, on_state=on_state)
+        self._ration = LogRation()
 
     @property
     def is_up(self) -> bool:
@@ -146,35 +144,50 @@ class Coordinator:
             ticket = self._host.send(destination=destination, payload=payload, now_ns=now_ns, is_urgent=is_urgent)
         except LinkFullError as error:
             raise RadioUnavailableError(radio=self.radio, reason=str(error)) from error
-        future: asyncio.Future[RadioOutcome] = asyncio.get_running_loop().create_future()
-        self._sendings[ticket] = _Sending(future, now_ns + int(self._config.radio_timeout_s * NS_PER_S))
         self._wake.set()
-        return future
+        return self._sendings.add(ticket, deadline_ns=now_ns + int(self._config.radio_timeout_s * NS_PER_S))
 
     async def run(self) -> None:
         """Keep the radio connected until cancelled."""
-        backoff_s = self._config.first_backoff_s
+        backoff = Backoff(first_s=self._config.first_backoff_s, max_s=self._config.max_backoff_s)
         while True:
-            self._n_attempts += 1
+            self._outage.attempt()
             self._was_steady = False
             try:
-                transport = await self._open_port()
+                transport = await self._open()
                 try:
                     await self._hold(transport)
                 finally:
                     await transport.aclose()
             except TransportError as error:
-                self._went_down(str(error))
+                self._n_silences += isinstance(error, TransportSilentError)
+                self._outage.begin(str(error))
             except Exception as error:  # noqa: BLE001  # one radio's fault must not end the gateway, which stops the other radios' animals
                 reason = f"{type(error).__name__}: {error}"
                 self._health.count("radio.broken")
-                _log.error("radio.broken", radio=self.radio, reason=reason, trace=traceback.format_exc())
-                self._went_down(reason)
+                self._say(_log.error, "radio.broken", reason=reason, trace=traceback.format_exc())
+                self._outage.begin(reason)
                 self._host = self._make_host()  # what the old one knows may be what broke it
             if self._was_steady:
-                backoff_s = self._config.first_backoff_s
-            await asyncio.sleep(backoff_s * random.uniform(0.5, 1.0))
-            backoff_s = min(2 * backoff_s, self._config.max_backoff_s)
+                backoff.start_anew()
+            await asyncio.sleep(backoff.take_s())
+
+    async def _open(self) -> Transport:
+        """Open the port, and reset the dongle by its line where it has fallen silent; wait for an earlier opening that hangs."""
+        if self._hanging is not None and not self._hanging.is_over():
+            raise self._hanging
+        self._hanging = None
+        limit = self._config.silences_before_reset
+        is_reset = self._reset_port is not None and 0 < limit <= self._n_silences
+        try:
+            if is_reset and self._reset_port is not None:
+                self._outage.step("radio.line_reset", silences=self._n_silences)
+                return await self._reset_port()
+            return await self._open_port()
+        except TransportHangsError as error:
+            self._hanging = error
+            self._health.count("radio.hanging_openings")
+            raise
 
     async def _hold(self, transport: Transport) -> None:
         """Keep the dongle open on an open port; ends with the ``TransportError`` that ended it."""
@@ -195,7 +208,7 @@ class Coordinator:
             self._is_held = False
             self._end_session()
             self._count_faults()
-            self._give_up_sendings("the port was closed")
+            self._sendings.settle_all(RadioOutcome(fate=Fate.UNKNOWN, reason="the port was closed"))
 
     def _open_host(self) -> None:
         self._receipts.clear()
@@ -241,11 +254,9 @@ class Coordinator:
                 self._handle_deadlines(transport)
 
     def _next_deadline_ns(self) -> int | None:
-        deadlines = [self._host.next_deadline_ns(), self._reopen_at_ns]
+        deadlines = [self._host.next_deadline_ns(), self._reopen_at_ns, self._sendings.next_deadline_ns]
         if not self._host.is_open:
             deadlines.append(self._opening_until_ns)
-        if self._sendings:
-            deadlines.append(next(iter(self._sendings.values())).deadline_ns)  # they are in the order of their deadlines
         return min((at for at in deadlines if at is not None), default=None)
 
     def _handle_deadlines(self, transport: Transport) -> None:
@@ -256,12 +267,10 @@ class Coordinator:
             self._open_host()
         if not self._host.is_open and now_ns >= self._opening_until_ns:
             question = "is it a coordinator of this dialect, at this baud rate? `biobot-gateway probe` tells"
-            raise TransportClosedError(name=transport.name, reason=f"no answer for {self._config.open_timeout_s:g} s; {question}")
-        for ticket, sending in list(self._sendings.items()):
-            if sending.deadline_ns > now_ns:
-                break
+            raise TransportSilentError(name=transport.name, reason=f"no answer for {self._config.open_timeout_s:g} s; {question}")
+        for ticket in self._sendings.overdue(now_ns=now_ns):
             self._host.forget(ticket)
-            self._settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason="the dongle did not say what became of it"))
+            self._sendings.settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason="the dongle did not say what became of it"))
 
     def _take_events(self, events: list[HostEvent], *, received_ns: int = 0) -> None:
         if events and not self._host.is_open and self._reopen_at_ns is None:
@@ -272,7 +281,7 @@ class Coordinator:
                 case PayloadHeard():
                     last = self._take_payload(event, received_ns=received_ns) or last
                 case SendSettled(ticket=ticket, status=status):
-                    self._settle(ticket, outcome_of(status))
+                    self._sendings.settle(ticket, outcome_of(status))
                 case HostOpened():
                     self._came_up()
                 case CoordinatorIdentified():
@@ -280,7 +289,7 @@ class Coordinator:
                 case NodeSeen():
                     self._health.count("radio.nodes_seen")
                 case CoordinatorSaid(level=level, name=name, text=text):
-                    _SAID[level](f"dongle.{name}", radio=self.radio, text=text)
+                    self._say(_SAID[level], f"dongle.{name}", text=text)
                 case HostLost():
                     self._lost(event)
         if last is not None:  # the others are done before: writes are committed in their order
@@ -310,58 +319,43 @@ class Coordinator:
         except Exception as error:  # noqa: BLE001  # whatever it is, it comes from this payload alone
             self._health.count("message.broken")
             reason = f"{type(error).__name__}: {error}"
-            _log.error("message.broken", radio=self.radio, payload=message.payload.hex(), reason=reason, trace=traceback.format_exc())
+            self._say(_log.error, "message.broken", payload=message.payload.hex(), reason=reason, trace=traceback.format_exc())
             return None
 
     def _identified(self, event: CoordinatorIdentified) -> None:
         is_known, self.hello = event.hello == self.hello, event.hello
         if not is_known:
             pan, channel = f"{event.hello.pan_id:04x}", event.hello.channel
-            _log.info("radio.identified", radio=self.radio, firmware=event.description, pan=pan, channel=channel)
+            self._health.note_firmware(self.radio, event.description)
+            self._say(_log.info, "radio.identified", firmware=event.description, pan=pan, channel=channel)
 
     def _came_up(self) -> None:
         self._opened_ns = time.monotonic_ns()
         self._n_sessions += 1
         self._receipts.clear()
-        self._health.set_radio(self.radio, RadioState.UP)
-        down_s = 0.0 if self._down_since_ns is None else (time.monotonic_ns() - self._down_since_ns) / NS_PER_S
-        _log.info("radio.up", radio=self.radio, attempts=self._n_attempts, down_s=round(down_s, 1))
-        self._down_since_ns = None
-        self._n_attempts = 0
-        self._health.count("radio.sessions")
-        if self._on_state is not None:
-            self._on_state(self.radio, RadioState.UP, "")
-
-    def _went_down(self, reason: str) -> None:
-        """Say so when a fault begins; while it lasts, attempts are only counted."""
-        self._health.set_radio(self.radio, RadioState.DOWN)
-        self._health.count("radio.faults")
-        if self._down_since_ns is None:
-            self._down_since_ns = time.monotonic_ns()
-            self._n_attempts = 0
-            _log.warning("radio.down", radio=self.radio, reason=reason)
-            if self._on_state is not None:
-                self._on_state(self.radio, RadioState.DOWN, reason)
+        self._n_silences = 0
+        self._outage.end()
 
     def _lost(self, lost: HostLost) -> None:
         self._health.count(f"link.lost.{lost.why.value}")
         for ticket in lost.dropped:
-            self._settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason=f"the dongle was lost ({lost.detail or lost.why.value})"))
+            self._sendings.settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason=f"the dongle was lost ({lost.detail or lost.why.value})"))
         if lost.why is not LostWhy.RESTARTED:
-            raise TransportClosedError(name=self.radio, reason=lost.detail or lost.why.value)
+            kind = TransportSilentError if lost.why is LostWhy.NO_ANSWER else TransportClosedError
+            raise kind(name=self.radio, reason=lost.detail or lost.why.value)
         if self._reopen_at_ns is not None:
             return
-        self._give_up_sendings("the dongle restarted")
+        self._sendings.settle_all(RadioOutcome(fate=Fate.UNKNOWN, reason="the dongle restarted"))
         is_steady = self._end_session()
-        self._reopen_pause_s = (
-            0.0 if is_steady else min(max(2 * self._reopen_pause_s, self._config.first_backoff_s), self._config.max_backoff_s)
-        )
-        _log.warning("radio.restarted", radio=self.radio, pause_s=self._reopen_pause_s)
+        self._health.count("radio.restarts")
         if is_steady:
+            self._reopen_pause_s = 0.0
+            _log.warning("radio.restarted", radio=self.radio)
             self._open_host()
             return
         # A dongle that starts again and again is not to be asked as fast as the line goes.
-        self._went_down(f"the dongle restarted within {_STEADY_NS // NS_PER_S} s")
+        self._reopen_pause_s = min(max(2 * self._reopen_pause_s, self._config.first_backoff_s), self._config.max_backoff_s)
+        self._outage.begin(f"the dongle restarted within {_STEADY_NS // NS_PER_S} s")
         self._reopen_at_ns = time.monotonic_ns() + int(self._reopen_pause_s * NS_PER_S)
         self._opening_until_ns = self._reopen_at_ns + int(self._config.open_timeout_s * NS_PER_S)
 
@@ -377,18 +371,15 @@ class Coordinator:
             self._health.count(name, count)
         self._host.faults.clear()
 
-    def _give_up_sendings(self, reason: str) -> None:
-        for ticket in list(self._sendings):
-            self._settle(ticket, RadioOutcome(fate=Fate.UNKNOWN, reason=reason))
-
-    def _settle(self, ticket: int, outcome: RadioOutcome) -> None:
-        sending = self._sendings.pop(ticket, None)
-        if sending is None:
-            self._health.count("radio.unexpected_confirms")
-            return
-        self._health.count(f"radio.{outcome.fate.value}")
-        if not sending.future.done():
-            sending.future.set_result(outcome)
+    def _say(self, say: Callable[..., None], event: str, **facts: object) -> None:
+        """Log what a dongle can bring about at any speed: so many lines a minute and no more."""
+        n_unsaid = self._ration.ask(now_ns=time.monotonic_ns())
+        if n_unsaid is None:
+            self._health.count("radio.unsaid")
+        elif n_unsaid:
+            say(event, radio=self.radio, unsaid=n_unsaid, **facts)
+        else:
+            say(event, radio=self.radio, **facts)
 
 
 def _first(group: BaseExceptionGroup[BaseException]) -> TransportError:

@@ -4,7 +4,9 @@ GatewayError
 ├── TransportError
 │   ├── TransportSpecError    a port is named in a way that cannot be opened: correct the name
 │   ├── TransportOpenError    a port cannot be opened now: try again later
+│   │   └── TransportHangsError   an opening does not come back: wait until it has
 │   └── TransportClosedError  a port has gone: close it and open it again
+│       └── TransportSilentError  the device behind it hangs: reset it, where that can be done, and open it again
 ├── RadioUnavailableError     nothing can be sent by this radio now
 ├── JournalError
 │   ├── JournalUnfitError     the file is no journal of ours, or not ours to write: choose another
@@ -14,6 +16,8 @@ GatewayError
 ├── MonitorError              the monitor cannot answer where it is to: choose another address
 └── CommandError              a command could not be brought to a gateway
 """
+
+from collections.abc import Callable
 
 
 class GatewayError(Exception):
@@ -44,6 +48,16 @@ class TransportOpenError(TransportError):
         self.reason = reason
 
 
+class TransportHangsError(TransportOpenError):
+    """An opening does not come back, and holds a thread; no other should be begun until ``is_over()``."""
+
+    def __init__(self, *, name: str, timeout_s: float, is_over: Callable[[], bool]) -> None:
+        super().__init__(
+            name=name, reason=f"the operating system has not opened it within {timeout_s:g} s; is the device, or its name server, ill?"
+        )
+        self.is_over = is_over
+
+
 class TransportClosedError(TransportError):
     """A port has gone, or was closed by this side."""
 
@@ -51,6 +65,10 @@ class TransportClosedError(TransportError):
         super().__init__(f"{name} is closed: {reason}")
         self.name = name
         self.reason = reason
+
+
+class TransportSilentError(TransportClosedError):
+    """The device takes nothing, or does not answer, on a port that is there."""
 
 
 class RadioUnavailableError(GatewayError):

@@ -91,6 +91,14 @@ class Health:
             known = RadioCondition(state=state, since_wall_ns=time.time_ns(), firmware=firmware)
         self._shared.conditions[radio] = replace(known, reason=reason)
 
+    def note_attempts(self, radio: str, n_attempts: int) -> None:
+        """Say how often a radio was tried."""
+        self._shared.conditions[radio] = replace(self._shared.conditions[radio], n_attempts=n_attempts)
+
+    def note_firmware(self, radio: str, firmware: str) -> None:
+        """Say what a radio's dongle is."""
+        self._shared.conditions[radio] = replace(self._shared.conditions[radio], firmware=firmware)
+
     def counters(self) -> dict[str, int]:
         """Return all counters and levels by name, those of radios summed over all radios."""
         every = Counter(self._counters.copy())

@@ -18,7 +18,7 @@ from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
 from gateway.bus import Bus, CommandAnswer
 from gateway.clocks import ClockBook
-from gateway.config import GatewayConfig
+from gateway.config import GatewayConfig, LinkTable
 from gateway.config_loading import read_address
 from gateway.configurator import Configurator
 from gateway.coordinator import Coordinator
@@ -38,7 +38,8 @@ from gateway.recordings.recorder import Recorder
 from gateway.service_manager import ServiceManager
 from gateway.stimulation import StimulationGate
 from gateway.transports.can_port import CanBuses
-from gateway.transports.spec import PortSpec, parse_port_spec
+from gateway.transports.fair_share import BEGUN, FairShare, LoopLoad
+from gateway.transports.spec import PortSpec, can_reset, parse_port_spec
 from gateway.vitals import Vitals
 
 _log = EventLog(__name__)
@@ -127,11 +128,19 @@ class Service:
             now_ns=now_ns,
         )
         can_buses = CanBuses()
+        load, on_flood = LoopLoad(n_radios=len(ports)), partial(self._on_flood, bus)
+        shares = {
+            name: FairShare(radio=name, load=load, max_bytes_per_s=config.link.max_bytes_per_s, health=health, on_flood=on_flood)
+            for name in ports
+        }
         coordinators = {
             name: Coordinator(
                 radio=name,
-                make_host=partial(_make_host, spec),
-                open_port=partial(open_recorded, spec, recorders.get(name), can_buses=can_buses),
+                make_host=partial(_make_host, spec, config.link),
+                open_port=shares[name].opening(partial(open_recorded, spec, recorders.get(name), can_buses=can_buses)),
+                reset_port=shares[name].opening(partial(open_recorded, spec, recorders.get(name), is_reset=True))
+                if can_reset(spec)
+                else None,
                 on_radio=intake.take,
                 config=config.link,
                 health=health.of_radio(name),
@@ -239,6 +248,10 @@ class Service:
         level = "info" if state is RadioState.UP else "warning"
         self._publish_event(bus, level, f"radio.{state.value}", {"radio": radio, "reason": reason})
 
+    def _on_flood(self, bus: Bus, radio: str, kind: str, text: str) -> None:
+        level = "warning" if kind == BEGUN else "info"
+        self._publish_event(bus, level=level, kind=kind, facts={"radio": radio, "reason": text})
+
     def _on_duplicate(self, bus: Bus, node: NodeId, before: int, after: int) -> None:
         facts = {"node": str(node), "eui64_before": f"{before:016x}", "eui64": f"{after:016x}"}
         _log.warning("node.duplicate", **facts)
@@ -329,6 +342,7 @@ def _retention_of(config: GatewayConfig) -> Retention:
     )
 
 
-def _make_host(spec: PortSpec) -> Host:
+def _make_host(spec: PortSpec, link: LinkTable) -> Host:
     # A dongle may still tell of payloads of an earlier process: their numbers must not be those of this one.
-    return make_host(spec.dialect, first_handle=random.randrange(1 << 16), network=spec.network)
+    idle_ns = int(link.idle_s * NS_PER_S)
+    return make_host(spec.dialect, first_handle=random.randrange(1 << 16), network=spec.network, idle_ns=idle_ns)

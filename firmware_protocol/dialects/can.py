@@ -9,9 +9,11 @@ from firmware_protocol.framing.can_frame import Direction
 DEFAULT_UNIT = 1
 
 
-def make_can_host(*, unit: int = DEFAULT_UNIT, is_fd: bool, first_handle: int = 0) -> NativeHost:
+def make_can_host(*, unit: int = DEFAULT_UNIT, is_fd: bool, first_handle: int = 0, idle_ns: int | None = None) -> NativeHost:
     """Return the base station's end for the coordinator that has this unit number on its bus."""
-    return NativeHost(framing=can_framing(unit=unit, is_fd=is_fd, sends=Direction.TO_COORDINATOR), first_handle=first_handle)
+    return NativeHost(
+        framing=can_framing(unit=unit, is_fd=is_fd, sends=Direction.TO_COORDINATOR), first_handle=first_handle, idle_ns=idle_ns
+    )
 
 
 def can_framing(*, unit: int, is_fd: bool, sends: Direction) -> Framing:

@@ -5,7 +5,7 @@ The framing is an argument: COBS on a serial line (§2), CAN frames on a bus.
 
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from firmware_protocol.dialects.interface import (
     CoordinatorIdentified,
@@ -76,13 +76,16 @@ class NativeHost:
     first_handle
         Where the handles of RadioSend begin: anywhere else than in an earlier process, because a RadioConfirm that the dongle kept from
         before a restart must not settle another payload.
+    idle_ns
+        After how much silence the dongle is asked whether it is there; None: as in WIRE_FORMAT.md §3.4.
     """
 
-    def __init__(self, *, framing: Framing = COBS, first_handle: int = 0) -> None:
+    def __init__(self, *, framing: Framing = COBS, first_handle: int = 0, idle_ns: int | None = None) -> None:
         self.faults: Counter[str] = Counter()
         self._framing = framing
         self._next_handle = first_handle % _N_HANDLES
-        self._link = Link(role=Role.INITIATOR, config=LinkConfig(window=_WINDOW))
+        config = LinkConfig(window=_WINDOW)
+        self._link = Link(role=Role.INITIATOR, config=config if idle_ns is None else replace(config, keepalive_ns=idle_ns))
         self._decoder = framing.make_decoder()
         self._pending: dict[int, int] = {}
         """Ticket of each payload whose RadioConfirm has not come, by its handle."""

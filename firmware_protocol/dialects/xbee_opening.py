@@ -25,6 +25,7 @@ AT_FRAME_ID = 1
 """Of all AT commands: answers are told apart by the command that they name."""
 
 _ANSWER_NS = 500 * NS_PER_MS
+_EVENT_NS = 50 * NS_PER_MS
 _GUARD_NS = 1_100 * NS_PER_MS
 """The silence around ``+++``: ``GT`` is 1 s at the factory."""
 _KNOCK_NS = 1_600 * NS_PER_MS
@@ -97,7 +98,7 @@ class Opening:
         self._has_reset = False
         self._in_no_network_since_ns: int | None = None
         self._association = -1
-        self._deadline_ns = now_ns
+        self._deadline_ns = self._asked_ns = now_ns
         self._ask("AP", now_ns)
 
     @property
@@ -142,7 +143,11 @@ class Opening:
         return []
 
     def take_event(self, event: ModemStatus, *, now_ns: int) -> None:
-        """Take what happened to the module."""
+        """Take what happened to the module. However often it is told, it is not asked more often than every ``_EVENT_NS``."""
+        soon_ns = self._asked_ns + _EVENT_NS
+        if self.stage in {Stage.MODE, Stage.NETWORK} and now_ns < soon_ns:
+            self._deadline_ns = min(self._deadline_ns, soon_ns)
+            return
         if event.status in {HARDWARE_RESET, WATCHDOG_RESET}:
             self._begin(now_ns)
         elif self.stage is Stage.NETWORK:
@@ -204,6 +209,7 @@ class Opening:
     def _ask(self, command: str, now_ns: int) -> None:
         body = encode_xbee(AtCommand(frame_id=AT_FRAME_ID, command=command))
         self.outgoing.append(encode_frame(body, is_escaped=bool(self.is_escaped)))
+        self._asked_ns = now_ns
         self._deadline_ns = now_ns + _ANSWER_NS
 
     def _take_ok(self, now_ns: int) -> list[HostEvent]:

@@ -49,8 +49,6 @@ from firmware_protocol.znp.numbers import BIOBOT_CLUSTER, BIOBOT_ENDPOINT, Comma
 
 _PATIENCE_NS = 1_500 * NS_PER_MS
 _N_SILENCES = 3
-_CHECK_NS = 5 * NS_PER_S
-"""How often the dongle is asked whether it still has its network."""
 _PERMIT_NS = 200 * NS_PER_S
 """How often a network that is to stay open is opened again: Z-Stack closes it after 254 s at most."""
 _BACK_OFF_NS = 100 * NS_PER_MS
@@ -283,7 +281,7 @@ class ZnpHost:
                 return [self._lose(LostWhy.NO_ANSWER, f"{_N_SILENCES} requests in a row were not answered, the last one {name}")]
             self._ask(znp.PingRequest(), now_ns + _PATIENCE_NS)
         elif now_ns >= self._check_at_ns:
-            self._check_at_ns = now_ns + _CHECK_NS
+            self._check_at_ns = now_ns + self._config.check_ns
             self._ask(znp.NetworkInfoRequest(), now_ns + _PATIENCE_NS)
         elif self._permit_at_ns is not None and now_ns >= self._permit_at_ns:
             self._permit_at_ns = now_ns + _PERMIT_NS
@@ -351,7 +349,7 @@ class ZnpHost:
         self._opening = None
         self.is_open = True
         self._n_silences = 0
-        self._check_at_ns = now_ns + _CHECK_NS
+        self._check_at_ns = now_ns + self._config.check_ns
         keeps_open = self._config.permit_join_s == 254
         self._permit_at_ns = now_ns + _PERMIT_NS if keeps_open else None
         return [HostOpened(), CoordinatorIdentified(hello=opened.hello, description=opened.description)]

@@ -67,11 +67,14 @@ class ZnpHostConfig:
         11 to 26; None: 20.
     permit_join_s
         How long nodes may join after each opening [s]; 0 never, 254 for as long as the base station runs.
+    check_ns
+        How often the dongle is asked whether it still has its network, whatever is heard from it.
     """
 
     pan_id: int | None = None
     channel: int | None = None
     permit_join_s: int = 254
+    check_ns: int = 5 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,7 +37,9 @@ async def recording_radios(config: RecordingTable, ports: Sequence[str]) -> Asyn
         yield recorders
 
 
-async def open_recorded(spec: PortSpec, recorder: Recorder | None, *, can_buses: CanBuses | None = None) -> Transport:
+async def open_recorded(
+    spec: PortSpec, recorder: Recorder | None, *, can_buses: CanBuses | None = None, is_reset: bool = False
+) -> Transport:
     """Open a port, and record it where there is a recorder; see ``open_transport``."""
-    transport = await open_transport(spec, can_buses=can_buses)
+    transport = await open_transport(spec, can_buses=can_buses, is_reset=is_reset)
     return transport if recorder is None else RecordingTransport(transport, take=recorder.take)

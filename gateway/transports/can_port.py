@@ -18,9 +18,10 @@ from typing import Protocol
 
 from firmware_protocol.framing.can_frame import CanFrame, Direction, RecordReader, encode_record
 from firmware_protocol.units import NS_PER_S
-from gateway.errors import TransportClosedError, TransportOpenError
+from gateway.errors import TransportClosedError, TransportHangsError, TransportOpenError, TransportSilentError
 from gateway.log import EventLog
 from gateway.transports.can_spec import CanSpec
+from gateway.transports.own_thread import OverdueError, call_in_own_thread
 
 _log = EventLog(__name__)
 
@@ -30,6 +31,8 @@ _MAX_WAITING = 2048
 _POLL_S = 0.1
 _WATCH_S = 1.0
 _PATIENCE_S = 5.0
+_OPEN_TIMEOUT_S = 20.0
+"""Of a bus: an slcan adapter may be given 10 s to settle."""
 _FIRST_RETRY_S, _LAST_RETRY_S = 0.001, 0.05
 _STOP = (-1, 0, (), None, None)
 """Goes before all that waits to be sent, and ends the thread."""
@@ -64,13 +67,24 @@ class CanBuses:
         Opens one, in a thread.
     patience_s
         How long a bus may take nothing, or its receiving thread may hang, before the port is closed [s].
+    open_timeout_s
+        How long its opening is waited for [s].
     """
 
-    def __init__(self, *, open_bus: Callable[[CanSpec], BlockingBus] | None = None, patience_s: float = _PATIENCE_S) -> None:
+    def __init__(
+        self,
+        *,
+        open_bus: Callable[[CanSpec], BlockingBus] | None = None,
+        patience_s: float = _PATIENCE_S,
+        open_timeout_s: float = _OPEN_TIMEOUT_S,
+    ) -> None:
+        self._open_timeout_s = open_timeout_s
         self._open_bus = open_bus or _open_python_can
         self._patience_s = patience_s
         self._buses: dict[str, _SharedBus] = {}
-        self._opening = asyncio.Lock()
+        self._opening: dict[str, asyncio.Lock] = {}
+        """One for each bus, so that one which hangs keeps no other from being opened."""
+        self._hanging: dict[str, TransportHangsError] = {}
 
     async def open(self, spec: CanSpec) -> "CanTransport":
         """Open a unit's port, and its bus where no other unit has it open.
@@ -80,13 +94,28 @@ class CanBuses:
         TransportOpenError
             The bus cannot be opened now, is open with other options, or the unit's port is open.
         """
-        async with self._opening:
+        async with self._opening.setdefault(spec.bus_name, asyncio.Lock()):
             shared = self._buses.get(spec.bus_name)
             if shared is None or shared.reason:
-                bus = await asyncio.to_thread(self._open_bus, spec)
+                bus = await self._open_in_thread(spec)
                 shared = self._buses[spec.bus_name] = _SharedBus(bus, spec=spec, patience_s=self._patience_s, on_end=self._forget)
                 shared.start()
             return shared.join(spec)
+
+    async def _open_in_thread(self, spec: CanSpec) -> BlockingBus:
+        hanging = self._hanging.pop(spec.bus_name, None)
+        if hanging is not None and not hanging.is_over():  # begun for another unit of the bus
+            self._hanging[spec.bus_name] = hanging
+            raise hanging
+        try:
+            return await call_in_own_thread(
+                lambda: self._open_bus(spec), name=f"open {spec.bus_name}", timeout_s=self._open_timeout_s, dispose=lambda bus: bus.close()
+            )
+        except OverdueError as error:
+            hanging = self._hanging[spec.bus_name] = TransportHangsError(
+                name=spec.bus_name, timeout_s=self._open_timeout_s, is_over=error.is_over
+            )
+            raise hanging from error
 
     def _forget(self, shared: "_SharedBus") -> None:
         if self._buses.get(shared.spec.bus_name) is shared:
@@ -137,7 +166,7 @@ class CanTransport:
             async with asyncio.timeout(2 * self._shared.patience_s):
                 await future
         except TimeoutError as error:
-            raise TransportClosedError(name=self._name, reason=f"took nothing for {2 * self._shared.patience_s:g} s") from error
+            raise TransportSilentError(name=self._name, reason=f"took nothing for {2 * self._shared.patience_s:g} s") from error
 
     async def aclose(self) -> None:
         """Close; the last unit to go closes the bus."""
@@ -187,6 +216,7 @@ class _SharedBus:
         self._jobs: queue.PriorityQueue[_Job] = queue.PriorityQueue()  # bounded: a unit has one write under way
         self._numbers = itertools.count(1)
         self._stopping = threading.Event()
+        self._is_over = asyncio.Event()
         self._last_words = "the receiving thread has died"
         self._beat_ns = time.monotonic_ns()
         self._receiver = threading.Thread(target=self._receive, name=f"{spec.bus_name} in", daemon=True)
@@ -211,7 +241,9 @@ class _SharedBus:
         if not self._units:
             self._stopping.set()
             self._end("closed by this side")
-            await asyncio.to_thread(self._receiver.join, self.patience_s)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self.patience_s):
+                    await self._is_over.wait()
 
     def submit(self, frames: tuple[CanFrame, ...], transport: CanTransport) -> "asyncio.Future[None]":
         future: asyncio.Future[None] = self._loop.create_future()
@@ -248,6 +280,7 @@ class _SharedBus:
             self._jobs.put(_STOP)
             self._sender.join(self.patience_s)
             self._bus.close()
+            self._call(self._is_over.set)
 
     def _send(self) -> None:
         while True:

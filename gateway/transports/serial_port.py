@@ -1,18 +1,22 @@
-"""A dongle on a serial port, driven without threads: the file descriptor is watched by the event loop."""
+"""A dongle on a serial port: the event loop watches its descriptor; opening and closing, which may hang, have a thread of their own."""
 
 import asyncio
 import contextlib
+import fcntl
 import os
 import termios
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import TypeVar
 
 import serial
 from serial.tools import list_ports
 
-from gateway.errors import TransportClosedError, TransportOpenError
+from gateway.errors import TransportClosedError, TransportHangsError, TransportOpenError, TransportSilentError
+from gateway.transports.own_thread import OverdueError, call_in_own_thread
 
 _ResultT = TypeVar("_ResultT")
 
@@ -21,8 +25,33 @@ _WRITE_TIMEOUT_S = 5.0
 _MAX_WAITING = 300
 """Bytes that may wait in the driver before the next frame is written: about one frame of at most 255 bytes."""
 
+_OPEN_TIMEOUT_S = 10.0
+_CLOSE_TIMEOUT_S = 5.0
+_PULSE_S = 0.15
+_BREAK_S = 0.25
+_PTY_MAJORS = range(136, 144)  # Documentation/admin-guide/devices.txt: Unix98 pty slaves
+
 _BITS_PER_BYTE = 10  # start bit, eight data bits, stop bit
 _BY_ID = Path("/dev/serial/by-id")
+
+
+class LineReset(Enum):
+    """How a dongle is reset by its serial line, where it is wired so."""
+
+    NONE = "none"
+    RTS = "rts"
+    """RTS pulls the reset pin while DTR, which chooses the boot loader, is left alone: CC2652 sticks behind a CP210x or CH340."""
+    DTR = "dtr"
+    """DTR pulls the reset pin, as on boards with an Arduino's circuit."""
+    BREAK = "break"
+    """A break of 250 ms, for firmware of one's own that takes it for a reset."""
+
+
+_PULSES: dict[LineReset, tuple[tuple[bool, bool], ...]] = {
+    LineReset.RTS: ((False, False), (False, True), (False, False)),
+    LineReset.DTR: ((False, False), (True, False), (False, False)),
+}
+"""DTR and RTS, each held for ``_PULSE_S``. The first of them: zigbee-herdsman does the same for CC2652 boards."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,23 +109,20 @@ class SerialTransport:
                     except BlockingIOError:
                         await self._ready(for_reading=False)
         except TimeoutError as error:
-            raise TransportClosedError(name=self._name, reason=f"took nothing for {_WRITE_TIMEOUT_S:g} s") from error
+            raise TransportSilentError(name=self._name, reason=f"took nothing for {_WRITE_TIMEOUT_S:g} s") from error
         except OSError as error:
             raise TransportClosedError(name=self._name, reason=f"unplugged ({error.strerror})") from error
 
     async def aclose(self) -> None:
-        """Close the port; bytes that the driver still holds are dropped, so that closing never hangs on a stalled line."""
+        """Close the port; bytes that the driver still holds are dropped. A closing that hangs is left to its thread after 5 s."""
         if self._is_closed:
             return
         self._is_closed = True
         loop = asyncio.get_running_loop()
         loop.remove_reader(self._fd)
         loop.remove_writer(self._fd)
-        # An unplugged device raises here; its buffers are gone with it.
-        with contextlib.suppress(OSError, termios.error):
-            termios.tcflush(self._fd, termios.TCIOFLUSH)
-        with contextlib.suppress(OSError, termios.error):
-            self._port.close()
+        with contextlib.suppress(OverdueError):
+            await call_in_own_thread(lambda: _close_blocking(self._port), name=f"close {self._name}", timeout_s=_CLOSE_TIMEOUT_S)
 
     def set_lines(self, *, dtr: bool, rts: bool) -> bool:
         """Assert or release DTR and RTS; False where the device has no such lines, as a pseudo-terminal."""
@@ -143,17 +169,28 @@ class SerialTransport:
             raise
 
 
-async def open_serial(*, path: str, baud: int) -> SerialTransport:
+async def open_serial(*, path: str, baud: int, reset: LineReset = LineReset.NONE, timeout_s: float = _OPEN_TIMEOUT_S) -> SerialTransport:
     """Open a serial port for this process alone: 8 data bits, no parity, one stop bit, no flow control.
+
+    Parameters
+    ----------
+    reset
+        How its dongle is reset before anything is said to it.
 
     Raises
     ------
     TransportOpenError
-        There is no such port, it may not be opened, or another process has it.
+        There is no such port, it may not be opened, or somebody has it open.
+    TransportHangsError
+        The operating system has not opened it in time.
     """
     name = f"serial:{path}"
     try:
-        port = await asyncio.to_thread(_open_blocking, path, baud)
+        port = await call_in_own_thread(
+            lambda: _open_blocking(path, baud, reset), name=f"open {name}", timeout_s=timeout_s, dispose=_close_blocking
+        )
+    except OverdueError as error:
+        raise TransportHangsError(name=name, timeout_s=timeout_s, is_over=error.is_over) from error
     except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError; ptys raise the bare ones
         raise TransportOpenError(name=name, reason=_explain(error, path)) from error
     return SerialTransport(name=name, port=port)
@@ -200,8 +237,49 @@ def _with_terminal(path: str, do: Callable[[int], _ResultT]) -> _ResultT:
         os.close(fd)
 
 
-def _open_blocking(path: str, baud: int) -> serial.Serial:
-    return serial.Serial(port=path, baudrate=baud, timeout=0, write_timeout=0, exclusive=True)
+def _open_blocking(path: str, baud: int, reset: LineReset) -> serial.Serial:
+    port = serial.Serial(port=path, baudrate=baud, timeout=0, write_timeout=0, exclusive=True)
+    try:
+        if os.major(os.fstat(port.fileno()).st_rdev) not in _PTY_MAJORS:
+            # Also for programs that know no locks. A pty would keep it beyond its closing, for as long as its other end lives.
+            fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
+        _reset_line(port, reset)
+    except BaseException:
+        _close_blocking(port)
+        raise
+    return port
+
+
+def _close_blocking(port: serial.Serial) -> None:
+    # An unplugged device raises here; its buffers are gone with it.
+    with contextlib.suppress(OSError, termios.error):
+        termios.tcflush(port.fileno(), termios.TCIOFLUSH)  # else closing would wait for a line that is stalled
+    with contextlib.suppress(OSError, termios.error):
+        port.close()
+
+
+def _reset_line(port: serial.Serial, reset: LineReset) -> None:
+    """Reset the dongle; a device that has no such lines, as a pseudo-terminal, is left as it is."""
+    with contextlib.suppress(OSError, termios.error):
+        for dtr, rts in _PULSES.get(reset, ()):
+            port.dtr = dtr
+            port.rts = rts
+            time.sleep(_PULSE_S)
+        if reset is LineReset.BREAK:
+            port.send_break(_BREAK_S)
+        if reset is not LineReset.NONE:
+            port.reset_input_buffer()  # what it had said before it was reset
+
+
+def _is_ours(path: str) -> bool:
+    """Return whether this process has the device open already."""
+    with contextlib.suppress(OSError):
+        wanted = Path(path).stat().st_rdev
+        for entry in Path("/proc/self/fd").iterdir():
+            with contextlib.suppress(OSError):  # the descriptor of the listing itself
+                if entry.stat().st_rdev == wanted:
+                    return True
+    return False
 
 
 def _explain(error: Exception, path: str) -> str:
@@ -214,7 +292,9 @@ def _explain(error: Exception, path: str) -> str:
     if number == 13:
         return f"{path} may not be opened by this user; join the group that owns it, often `dialout`"
     if number in {11, 16}:
-        return f"{path} is in use by another process"
+        if _is_ours(path):
+            return f"{path} is in use by this gateway already, as another of its ports: two of them name one device; take one away"
+        return f"{path} is in use by another process; `fuser {path}` names it"
     if number in {21, 25}:  # a directory; something that knows no settings of a line, as a file
         return f"{path} is no serial port; `biobot-gateway list-ports` shows what there is"
     return str(error)

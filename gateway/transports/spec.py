@@ -5,7 +5,9 @@ a simulator's line makes and a recording holds: no adapter for a bus speaks so. 
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias
 from urllib.parse import parse_qsl
 
@@ -15,7 +17,7 @@ from gateway.errors import TransportSpecError
 from gateway.transports.can_port import CanBuses
 from gateway.transports.can_spec import OPTIONS, CanSpec, read_can_spec
 from gateway.transports.interface import Transport
-from gateway.transports.serial_port import open_serial
+from gateway.transports.serial_port import LineReset, open_serial
 from gateway.transports.tcp import open_tcp
 
 DEFAULT_BAUD = 115_200
@@ -23,17 +25,20 @@ DEFAULT_BAUD = 115_200
 _MAX_BAUD = 4_000_000
 _MAX_HOST = 253  # RFC 1035, 2.3.4: 255 octets with the lengths of the labels, of at most 63 octets each
 _MAX_LABEL = 63
+_USUAL_RESETS = {"znp": LineReset.RTS}
+"""Sticks that speak Z-Stack are mostly wired so; where the wires lead nowhere, nothing happens."""
 _NETWORK_OPTIONS = {"pan_id": range(0xFFFF), "channel": range(11, 27), "permit_join_s": range(255)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SerialSpec:
-    """A serial port, by path or by-id link."""
+    """A serial port, by path or by-id link; ``reset`` is how its line resets a dongle that has fallen silent."""
 
     path: str
     baud: int
     dialect: str = DEFAULT_DIALECT
     network: NetworkWish | None = None
+    reset: LineReset = LineReset.NONE
 
     @property
     def name(self) -> str:
@@ -79,13 +84,15 @@ def parse_port_spec(spec: str) -> PortSpec:
     raise TransportSpecError(spec=spec, reason=f"unknown kind {kind!r}: it must be serial, tcp or can")
 
 
-async def open_transport(spec: PortSpec, *, can_buses: CanBuses | None = None) -> Transport:
+async def open_transport(spec: PortSpec, *, can_buses: CanBuses | None = None, is_reset: bool = False) -> Transport:
     """Open a port.
 
     Parameters
     ----------
     can_buses
         The buses that this process has open: coordinators of one bus share it. None: there is no other.
+    is_reset
+        Reset the dongle by its line, in the way that its port names.
 
     Raises
     ------
@@ -94,15 +101,61 @@ async def open_transport(spec: PortSpec, *, can_buses: CanBuses | None = None) -
     """
     match spec:
         case SerialSpec(path=path, baud=baud):
-            return await open_serial(path=path, baud=baud)
+            return await open_serial(path=path, baud=baud, reset=spec.reset if is_reset else LineReset.NONE)
         case TcpSpec(host=host, port=port):
             return await open_tcp(host=host, port=port)
         case CanSpec():
             return await (can_buses or CanBuses()).open(spec)
 
 
+def port_problems(ports: Sequence[str]) -> list[str]:
+    """Return what is wrong with a list of ports, a sentence each: one means nothing, is there twice, or is the same device as another.
+
+    Devices are compared as they are plugged in now; one that comes later is refused when it is opened.
+    """
+    problems: list[str] = []
+    named: dict[str, PortSpec] = {}
+    buses: dict[str, CanSpec] = {}
+    devices: dict[str, PortSpec] = {}
+    for text in ports:
+        try:
+            port = parse_port_spec(text)
+        except TransportSpecError as error:
+            problems.append(str(error))
+            continue
+        if port.name in named:
+            problems.append(f"port {port.name} is named twice; name each radio once")
+            continue
+        named[port.name] = port
+        bus = buses.setdefault(port.bus_name, port) if isinstance(port, CanSpec) else None
+        if bus is not None and isinstance(port, CanSpec) and port.bus_options != bus.bus_options:
+            problems.append(
+                f"port {port.name} has {port.bus_options}, but another unit of the same bus {bus.bus_options}: "
+                "they are the same for all units of a bus"
+            )
+        device = _device_of(port)
+        other = devices.setdefault(device, port) if device else port
+        if other is not port and (bus is None or other is not bus):
+            problems.append(f"port {port.name} is the same device as {other.name}, {device}: name it once")
+    return problems
+
+
+def _device_of(port: PortSpec) -> str:
+    """Return the path of a port's device, as it is now, or nothing where it has none."""
+    match port:
+        case SerialSpec(path=path) | CanSpec(interface="slcan", channel=path):
+            return str(Path(path).resolve())
+        case _:
+            return ""
+
+
+def can_reset(spec: PortSpec) -> bool:
+    """Return whether a port says how its dongle is reset by its line."""
+    return isinstance(spec, SerialSpec) and spec.reset is not LineReset.NONE
+
+
 def _parse_serial(spec: str, rest: str) -> SerialSpec:
-    path, options = _split_options(spec, rest, allowed=("baud", "dialect", *_NETWORK_OPTIONS))
+    path, options = _split_options(spec, rest, allowed=("baud", "dialect", "reset", *_NETWORK_OPTIONS))
     if not path:
         raise TransportSpecError(spec=spec, reason="names no device")
     if "\0" in path:
@@ -110,7 +163,10 @@ def _parse_serial(spec: str, rest: str) -> SerialSpec:
     baud = options.get("baud", str(DEFAULT_BAUD))
     if not 1 <= _read_number(baud, with_hex=False) <= _MAX_BAUD:
         raise TransportSpecError(spec=spec, reason=f"baud is {baud!r}, but must be a number from 1 to {_MAX_BAUD}")
-    return SerialSpec(path=path, baud=int(baud), dialect=_dialect(spec, options), network=_network(spec, options))
+    dialect = _dialect(spec, options)
+    return SerialSpec(
+        path=path, baud=int(baud), dialect=dialect, network=_network(spec, options), reset=_reset(spec, options, dialect=dialect)
+    )
 
 
 def _parse_tcp(spec: str, rest: str) -> TcpSpec:
@@ -149,6 +205,15 @@ def _dialect(spec: str, options: dict[str, str]) -> str:
     if dialect not in DIALECTS:
         raise TransportSpecError(spec=spec, reason=f"unknown dialect {dialect!r}: it must be one of {', '.join(DIALECTS)}")
     return dialect
+
+
+def _reset(spec: str, options: dict[str, str], *, dialect: str) -> LineReset:
+    text = options.get("reset", _USUAL_RESETS.get(dialect, LineReset.NONE).value)
+    try:
+        return LineReset(text)
+    except ValueError as error:
+        known = ", ".join(one.value for one in LineReset)
+        raise TransportSpecError(spec=spec, reason=f"reset is {text!r}, but must be one of {known}") from error
 
 
 def _network(spec: str, options: dict[str, str]) -> NetworkWish | None:

@@ -2,11 +2,14 @@
 
 import asyncio
 import socket
+from functools import partial
 
-from gateway.errors import TransportClosedError, TransportOpenError
+from gateway.errors import TransportClosedError, TransportHangsError, TransportOpenError, TransportSilentError
+from gateway.transports.own_thread import OverdueError, call_in_own_thread
 
 _READ_SIZE = 4096
 _OPEN_TIMEOUT_S = 5.0
+_NAME_TIMEOUT_S = 5.0
 _WRITE_TIMEOUT_S = 5.0
 _KEEPALIVE_IDLE_S = 15
 _KEEPALIVE_INTERVAL_S = 5
@@ -45,7 +48,7 @@ class TcpTransport:
             async with asyncio.timeout(_WRITE_TIMEOUT_S):
                 await self._writer.drain()
         except TimeoutError as error:
-            raise TransportClosedError(name=self._name, reason=f"took nothing for {_WRITE_TIMEOUT_S:g} s") from error
+            raise TransportSilentError(name=self._name, reason=f"took nothing for {_WRITE_TIMEOUT_S:g} s") from error
         except OSError as error:
             raise TransportClosedError(name=self._name, reason=str(error)) from error
 
@@ -61,11 +64,16 @@ async def open_tcp(*, host: str, port: int) -> TcpTransport:
     ------
     TransportOpenError
         No connection within 5 s.
+    TransportHangsError
+        The host's name was not resolved within 5 s.
     """
     name = f"tcp:{host}:{port}"
     try:
+        places = await _resolve(host, port)
         async with asyncio.timeout(_OPEN_TIMEOUT_S):
-            reader, writer = await asyncio.open_connection(host, port, limit=2 * _READ_SIZE)
+            reader, writer = await asyncio.open_connection(sock=await _connect(places), limit=2 * _READ_SIZE)
+    except OverdueError as error:
+        raise TransportHangsError(name=name, timeout_s=_NAME_TIMEOUT_S, is_over=error.is_over) from error
     except TimeoutError as error:
         reason = f"no answer within {_OPEN_TIMEOUT_S:g} s; is the address right, and the device on this network?"
         raise TransportOpenError(name=name, reason=reason) from error
@@ -87,3 +95,35 @@ async def open_tcp(*, host: str, port: int) -> TcpTransport:
         if hasattr(socket, option):  # they are Linux's names; elsewhere the system's defaults hold
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
     return TcpTransport(name=name, reader=reader, writer=writer)
+
+
+_Place = tuple[socket.AddressFamily, tuple[str, int] | tuple[str, int, int, int] | tuple[int, bytes]]
+
+
+async def _resolve(host: str, port: int) -> list[_Place]:
+    """Return where a host is. A name server may hang, so a name is asked for in a thread of its own; a numeric address asks nobody."""
+    ask = partial(socket.getaddrinfo, host, port, type=socket.SOCK_STREAM)
+    try:
+        found = ask(flags=socket.AI_NUMERICHOST)
+    except socket.gaierror:
+        found = await call_in_own_thread(ask, name=f"resolve {host}", timeout_s=_NAME_TIMEOUT_S)
+    return [(family, place) for family, _, _, _, place in found]
+
+
+async def _connect(places: list[_Place]) -> socket.socket:
+    """Return a socket that is connected to the first place that takes it, or raise what the last one said."""
+    failure: OSError = OSError("the name has no address")
+    for family, place in places:
+        connection = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            connection.settimeout(0)
+            await asyncio.get_running_loop().sock_connect(connection, place)
+        except OSError as error:
+            connection.close()
+            failure = error
+        except BaseException:
+            connection.close()
+            raise
+        else:
+            return connection
+    raise failure

@@ -82,7 +82,7 @@ def test_an_unplugged_serial_port_ends_reading_and_writing() -> None:
 def test_a_serial_port_is_opened_once_and_what_is_wrong_is_told() -> None:
     async def story() -> None:
         async with _serial_pair() as (_, _, path):
-            with pytest.raises(TransportOpenError, match="in use by another process"):
+            with pytest.raises(TransportOpenError, match="in use by this gateway already"):
                 await open_serial(path=path, baud=115_200)
         with pytest.raises(TransportOpenError, match="there is no /dev/not-there"):
             await open_serial(path="/dev/not-there", baud=115_200)
