@@ -43,6 +43,8 @@ class SourceClock:
     n_votes: int
     since_ns: int | None
     is_corrected: bool
+    last_row: int = field(compare=False)
+    """Newest row of the store that is of this source: equal records come in other orders too."""
 
 
 @dataclass(slots=True)
@@ -52,6 +54,7 @@ class GatewayClocks:
     sources: list[Source] = field(default_factory=list)
     _numbers: dict[Source, int] = field(default_factory=dict)
     _samples: list[SourceSample] = field(default_factory=list)
+    _last_rows: list[int] = field(default_factory=list)
     _compared: dict[tuple[int, int], tuple[int, int, ClockDifference | None]] = field(default_factory=dict)
     _differences: dict[int, ClockDifference] = field(default_factory=dict)
     """Of each source that is not a reference and shares enough, to its reference."""
@@ -64,6 +67,7 @@ class GatewayClocks:
             known = self._numbers[source] = len(self.sources)
             self.sources.append(source)
             self._samples.append(SourceSample())
+            self._last_rows.append(0)
         return known
 
     @property
@@ -81,6 +85,7 @@ class GatewayClocks:
         for source in np.unique(sources).tolist():
             chosen = sources == source
             self._samples[source].add(rows[chosen], pairs[chosen])
+            self._last_rows[source] = max(self._last_rows[source], int(rows[chosen].max()))
 
     def settle(self, read: Callable[[IntArray], SampledRows]) -> frozenset[int]:
         """Judge all clocks anew; return the numbers of the sources whose shift is another one now.
@@ -118,6 +123,7 @@ class GatewayClocks:
             n_votes=found.n_votes if found else 0,
             since_ns=int(found.t_ns[0] + found.offset_ns[0]) if found else None,
             is_corrected=self.shift(number) is not None,
+            last_row=self._last_rows[number],
         )
 
     def _compare(self, read: Callable[[IntArray], SampledRows]) -> bool:

@@ -76,7 +76,7 @@ class JointEncounters:
 
     def __init__(self) -> None:
         # Rows: begin and end [ns, site's clock], lower and higher id, whether it counts, margin [ns], number of the gateway.
-        self._columns: IntArray = np.zeros((7, _FIRST_CAPACITY), dtype=np.int64)
+        self._look_at(np.zeros((7, _FIRST_CAPACITY), dtype=np.int64))
         self._meetings: dict[_Pair, _Meetings] = {}
         self._members: dict[int, tuple[int, ...]] = {}
         self._stands: dict[int, int] = {}
@@ -88,7 +88,7 @@ class JointEncounters:
     def rebuild(self, rows: EncounterRows, *, margin_ns: IntArray, gateway: IntArray, names: Mapping[int, str]) -> EncounterRows:
         """Begin anew with all rows, and return what they amount to."""
         self._meetings, self._members, self._stands = {}, {}, {}
-        self._columns = np.zeros((7, max(_FIRST_CAPACITY, 1 + int(rows.row.max(initial=0)))), dtype=np.int64)
+        self._look_at(np.zeros((7, max(_FIRST_CAPACITY, 1 + int(rows.row.max(initial=0)))), dtype=np.int64))
         self._put(rows, margin_ns=margin_ns, gateway=gateway)
         if rows.counts.any():
             self._index(rows.row[rows.counts], names)
@@ -96,34 +96,36 @@ class JointEncounters:
 
     def take(self, rows: EncounterRows, *, margin_ns: IntArray, gateway: IntArray, names: Mapping[int, str]) -> EncounterRows:
         """Take rows that are new or have changed; return all rows that stand for something else now, and the given ones."""
-        touched: set[int] = set()
+        touched = set(rows.row.tolist())
         known = rows.row[rows.row < self._columns.shape[1]]
-        self._take_out(known[self._columns[_COUNTS, known] == 1], touched)
+        for row, pair, begin, _ in self._covers(known[self._columns[_COUNTS, known] == 1]):
+            self._meetings[pair].remove(begin, row)
+            self._part(row, touched)
         self._put(rows, margin_ns=margin_ns, gateway=gateway)
-        touched.update(rows.row.tolist())
-        for row in rows.row[rows.counts].tolist():
-            pair, begin, end = self._cover(row)
+        for row, pair, begin, end in self._covers(rows.row[rows.counts]):
             self._meetings.setdefault(pair, _Meetings()).insert(begin, end, row)
+        waiting = np.fromiter(touched, dtype=np.int64, count=len(touched))
         done: set[int] = set()
-        for row in sorted(touched):
-            if row in done or not self._columns[_COUNTS, row]:
+        for row, pair, begin, _ in self._covers(waiting[self._columns[_COUNTS, waiting] == 1]):
+            if row in done:
                 continue
-            pair, begin, _ = self._cover(row)
             meetings = self._meetings[pair]
             first, last = meetings.piece(meetings.place(begin, row))
+            if first == last:
+                continue
             piece = meetings.rows[first : last + 1].tolist()
             for one in piece:
                 self._part(one, done)
             done.update(piece)
-            if len({int(self._columns[_GATEWAY, one]) for one in piece}) > 1:
+            if len({self._gateway_at[one] for one in piece}) > 1:
                 self._join(piece, names)
-        return self._amount(np.array(sorted(touched | done), dtype=np.int64))
+        touched |= done
+        return self._amount(np.fromiter(touched, dtype=np.int64, count=len(touched)))
 
-    def _take_out(self, rows: IntArray, touched: set[int]) -> None:
-        for row in rows.tolist():
-            pair, begin, _ = self._cover(row)
-            self._meetings[pair].remove(begin, row)
-            self._part(row, touched)
+    def differs(self, rows: EncounterRows) -> BoolArray:
+        """Say of each of some known rows, shape (m,), whether it is at another time now."""
+        differs: BoolArray = (self._columns[_BEGIN, rows.row] != rows.t_start_ns) | (self._columns[_END, rows.row] != rows.t_end_ns)
+        return differs
 
     def _part(self, row: int, freed: set[int]) -> None:
         """Take the encounter of a row apart, if it is of several; note whom that concerns."""
@@ -133,35 +135,42 @@ class JointEncounters:
             for one in members:
                 del self._stands[one]
 
-    def _join(self, rows: Iterable[int], names: Mapping[int, str]) -> None:
-        begin, gateway = self._columns[_BEGIN], self._columns[_GATEWAY]
-        members = tuple(sorted(rows, key=lambda row: (int(begin[row]), names[int(gateway[row])], row)))
+    def _join(self, rows: list[int], names: Mapping[int, str]) -> None:
+        begin, gateway = self._begin_at, self._gateway_at
+        members = tuple(sorted(rows, key=lambda row: (begin[row], names[gateway[row]], row)))
         self._members[members[0]] = members
-        self._stands |= dict.fromkeys(members, members[0])
+        for one in members:
+            self._stands[one] = members[0]
 
-    def _cover(self, row: int) -> tuple[_Pair, int, int]:
-        begin, end, low, high, _, margin, _ = self._columns[:, row].tolist()
-        return (low, high), begin - margin, end + margin
+    def _covers(self, rows: IntArray) -> Iterable[tuple[int, _Pair, int, int]]:
+        """Return row, pair, begin and end of cover of rows."""
+        begin, end, low, high, _, margin, _ = self._columns[:, rows]
+        pairs = zip(low.tolist(), high.tolist(), strict=True)
+        return list(zip(rows.tolist(), pairs, (begin - margin).tolist(), (end + margin).tolist(), strict=True))
 
     def _put(self, rows: EncounterRows, *, margin_ns: IntArray, gateway: IntArray) -> None:
         n = 1 + int(rows.row.max(initial=0))
         if n > self._columns.shape[1]:
-            grown = np.zeros((7, max(n, 2 * self._columns.shape[1])), dtype=np.int64)
-            grown[:, : self._columns.shape[1]] = self._columns
-            self._columns = grown
+            self._look_at(np.pad(self._columns, ((0, 0), (0, max(n, 2 * self._columns.shape[1]) - self._columns.shape[1]))))
         low, high = np.minimum(rows.id1, rows.id2), np.maximum(rows.id1, rows.id2)
         for column, values in enumerate((rows.t_start_ns, rows.t_end_ns, low, high, rows.counts, margin_ns, gateway)):
             self._columns[column, rows.row] = values
+
+    def _look_at(self, columns: IntArray) -> None:
+        """Take columns, and views of them that give single numbers fast."""
+        self._columns = columns
+        self._begin_at, self._end_at, self._gateway_at = (memoryview(columns[column]) for column in (_BEGIN, _END, _GATEWAY))
 
     def _amount(self, row: IntArray) -> EncounterRows:
         """Return what rows stand for."""
         begin, end, id1, id2, counts = (column[row] for column in self._columns[:5])
         counts = counts.astype(np.bool_)
+        stands, end_at = self._stands, self._end_at
         for place, one in enumerate(row.tolist()):
-            if one in self._stands:
-                counts[place] = self._stands[one] == one
-                if counts[place]:
-                    end[place] = self._columns[_END, list(self._members[one])].max()
+            if one in stands:
+                counts[place] = stands[one] == one
+                if stands[one] == one:
+                    end[place] = max([end_at[member] for member in self._members[one]])
         return EncounterRows(row=row, t_start_ns=begin, t_end_ns=end, id1=id1, id2=id2, counts=counts)
 
     def _index(self, rows: IntArray, names: Mapping[int, str]) -> None:

@@ -154,10 +154,11 @@ class EncounterColumns:
         differs: BoolArray = ~(is_same & (changes > 0))
         return differs
 
-    def interval(self, row: int) -> tuple[int, int, bool]:
-        """Return begin and end [ns] of a row, and whether it counts."""
-        begin, end, _, _, counts, _ = self._columns[:, row].tolist()
-        return begin, end, bool(counts)
+    def interval(self, row: int) -> tuple[int, int] | None:
+        """Return begin and end [ns] of a row; None where there is no encounter."""
+        if row >= self._n_rows or not self._columns[5, row]:
+            return None
+        return int(self._columns[0, row]), int(self._columns[1, row])
 
     def count_by_node(self) -> Mapping[NodeId, int]:
         """Count the encounters of each biobot that has any."""

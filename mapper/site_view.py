@@ -7,7 +7,7 @@ the records are passed on as they are, and nothing of this costs more than remem
 import msgspec.structs
 import numpy as np
 
-from firmware_protocol.contract.records import EncounterRecord, MissionRecord, ModeRecord
+from firmware_protocol.contract.records import MissionRecord, ModeRecord
 from mapper.clock_samples import SampledRows, number_pairs
 from mapper.clock_votes import ClockDifference
 from mapper.gateway_clocks import GatewayClocks, Source, SourceClock
@@ -17,6 +17,8 @@ from mapper.record_columns import MAX_WALL_NS, EncounterColumns, EncounterOrigin
 from mapper.types import BoolArray, IntArray
 
 _FIRST_CAPACITY = 1024
+_MANY = 0.1
+"""Where more than this share of all encounters moves, joining all anew takes less time than one by one."""
 
 
 class SiteView:
@@ -66,10 +68,7 @@ class SiteView:
             self._begin_joining(change=change)
             return
         self._note(rows.row)
-        amount = self._joint.take(
-            self._shifted(rows.row), margin_ns=self._raw[5, rows.row], gateway=self._gateways_of(rows.row), names=self._names
-        )
-        self.encounters.put(amount, changes=np.full(len(amount), change, dtype=np.int64))
+        self._take(rows.row, change=change)
         if self._clocks.is_overfull:
             self.settle(change=change)
 
@@ -96,7 +95,7 @@ class SiteView:
         moved = self._clocks.settle(self._read)
         if not moved:
             return
-        self._rebuild(change=change)
+        self._move(change=change)
         for row, record in self._raw_others.items():
             if self._sources[record.gateway, record.wall_anchor_ns] in moved:
                 self._put_other(row, record, change=change)
@@ -108,12 +107,6 @@ class SiteView:
     def members(self, row: int) -> tuple[int, ...]:
         """Return the rows of the encounter that a row tells of, that which stands for it first."""
         return self._joint.members(row)
-
-    def shift_ns(self, record: EncounterRecord) -> int:
-        """Return what is added to the wall clock of an encounter's gateway [ns]."""
-        begin, end = (instant + record.wall_anchor_ns for instant in (record.t_start_ns, record.t_end_ns))
-        shift = self._clocks.shift(self.number_source(record.gateway, record.wall_anchor_ns))
-        return 0 if shift is None else int(shift.at(np.array([(begin + end) // 2]))[0])
 
     def _begin_joining(self, *, change: int) -> None:
         """Make up for what one gateway alone did not need."""
@@ -174,7 +167,23 @@ class SiteView:
     def _rebuild(self, *, change: int) -> None:
         """Join all encounters anew; those that come out otherwise are set by ``change``."""
         rows = self._present()
-        amount = self._joint.rebuild(self._shifted(rows), margin_ns=self._raw[5, rows], gateway=self._gateways_of(rows), names=self._names)
+        shifted, margin_ns, gateway = self._shifted(rows), self._raw[5, rows], self._gateways_of(rows)
+        self._publish(self._joint.rebuild(shifted, margin_ns=margin_ns, gateway=gateway, names=self._names), change=change)
+
+    def _move(self, *, change: int) -> None:
+        """Put all encounters where the clocks have them now."""
+        rows = self._present()
+        rows = rows[self._joint.differs(self._shifted(rows))]
+        if len(rows) > _MANY * self._n_rows:
+            self._rebuild(change=change)
+        else:
+            self._take(rows, change=change)
+
+    def _take(self, rows: IntArray, *, change: int) -> None:
+        margin_ns, gateway = self._raw[5, rows], self._gateways_of(rows)
+        self._publish(self._joint.take(self._shifted(rows), margin_ns=margin_ns, gateway=gateway, names=self._names), change=change)
+
+    def _publish(self, amount: EncounterRows, *, change: int) -> None:
         differs = self.encounters.differs(amount)
         self.encounters.put(_choose(amount, differs), changes=np.full(int(np.count_nonzero(differs)), change, dtype=np.int64))
 

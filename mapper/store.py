@@ -26,7 +26,7 @@ from firmware_protocol.contract.records import (
     encode_journal_record,
 )
 from firmware_protocol.errors import RecordError
-from firmware_protocol.units import NodeId
+from firmware_protocol.units import BootId, NodeId
 from mapper.errors import StoreError
 from mapper.gateway_clocks import SourceClock
 from mapper.offsets import OffsetSet
@@ -86,10 +86,25 @@ class StoreProgress:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JointEncounter:
+    """What several records of one encounter amount to: instants on the site's clock [ns], and the identities, the counted one first."""
+
+    t_start_ns: int
+    t_end_ns: int
+    is_reciprocal: bool
+    identities: tuple[tuple[str, BootId, int], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EncounterPage:
-    """Encounters in the order in which they were last changed; ``cursor`` of the last one asks for what follows."""
+    """Encounters in the order in which they were last changed; ``cursor`` of the last one asks for what follows.
+
+    Beside each record: what is added to its gateway's wall clock [ns], and what it is a part of; None where it is alone.
+    """
 
     records: tuple[EncounterRecord, ...]
+    shifts_ns: tuple[int, ...]
+    joint: tuple[JointEncounter | None, ...]
     cursor: int
     has_more: bool
 
@@ -241,11 +256,36 @@ class Store:
 
     def encounters(self, *, after: int, limit: int) -> EncounterPage:
         """Return encounters changed after a cursor, void ones too; a corrected one comes again, at the end."""
-        rows = self._db.execute(
-            "SELECT change, body FROM record WHERE kind = ? AND change > ? ORDER BY change LIMIT ?", (Kind.ENCOUNTER, after, limit + 1)
+        found = self._db.execute(
+            "SELECT id, change, body FROM record WHERE kind = ? AND change > ? ORDER BY change LIMIT ?",
+            (Kind.ENCOUNTER, after, limit + 1),
         ).fetchall()
-        records = [record for _, body in rows[:limit] if isinstance(record := decode_journal_record(body), EncounterRecord)]
-        return EncounterPage(records=tuple(records), cursor=rows[:limit][-1][0] if rows else after, has_more=len(rows) > limit)
+        rows = [(row, record) for row, _, body in found[:limit] if isinstance(record := decode_journal_record(body), EncounterRecord)]
+        return EncounterPage(
+            records=tuple(record for _, record in rows),
+            shifts_ns=tuple(self._shift_of(row, record) for row, record in rows),
+            joint=tuple(self._joint_of(row) for row, _ in rows),
+            cursor=found[:limit][-1][1] if found else after,
+            has_more=len(found) > limit,
+        )
+
+    def _shift_of(self, row: int, record: EncounterRecord) -> int:
+        place = self._site.encounters.interval(row)
+        return 0 if place is None else place[0] - wall_interval(record)[0]
+
+    def _joint_of(self, row: int) -> JointEncounter | None:
+        members = self._site.members(row)
+        place = self._site.encounters.interval(members[0])
+        if len(members) == 1 or place is None:
+            return None
+        bodies = [self._db.execute("SELECT body FROM record WHERE id = ?", (member,)).fetchone()[0] for member in members]
+        records = [record for body in bodies if isinstance(record := decode_journal_record(body), EncounterRecord)]
+        return JointEncounter(
+            t_start_ns=place[0],
+            t_end_ns=place[1],
+            is_reciprocal=any(record.is_reciprocal for record in records) or len({side.node for one in records for side in one.sides}) > 1,
+            identities=tuple(record.identity for record in records),
+        )
 
     def missions(self) -> tuple[MissionRecord, ...]:
         """Return all mission phases in the order in which they began."""
