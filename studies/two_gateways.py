@@ -73,7 +73,8 @@ def run(settings: Settings, out: Path) -> Outcome:
         simulator = parts.start(
             "simulator", "simulator", "serve", "--link", "tcp:127.0.0.1:0", "--link", "tcp:127.0.0.1:0", "--scenario", "no-obstacle",
             "--preset", "paper-units", "--biobots", settings.n_biobots, "--seed", settings.seed, "--speed", settings.speed,
-            "--duration", settings.duration_s, "--sensing", settings.sensing, "--drain-s", _SETTLE_S, "--out", out / "truth", "--ready-file", ready,
+            "--duration", settings.duration_s, "--sensing", settings.sensing, "--drain-s", _SETTLE_S,
+            "--out", out / "truth", "--ready-file", ready,
         )  # fmt: skip
         parts.wait(ready.exists, what="simulator ready")
         dongles = [f"tcp:{line.removeprefix('tcp:')}" for line in ready.read_text().split()]
