@@ -2,6 +2,7 @@
 
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import msgspec
 import msgspec.structs
@@ -34,15 +35,28 @@ class _Lean(msgspec.Struct, frozen=True, gc=False, tag="encounter"):
 _decoder = msgspec.msgpack.Decoder(list[_Lean])
 
 
-def load_encounters(
-    database: sqlite3.Connection, *, kind: int, number_source: Callable[[str, int], int]
-) -> Iterator[tuple[EncounterRows, EncounterOrigins, IntArray]]:
-    """Yield all encounters in pieces, each with where they come from and the numbers of its rows' last changes, shape (m,).
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LoadedEncounters:
+    """Encounters of a store, with the numbers of their rows' last changes, shape (m,)."""
 
-    Parameters
-    ----------
-    number_source
-        Gives the number of a gateway's start by its name and anchor [ns].
+    rows: EncounterRows
+    changes: IntArray
+    _gateways: Sequence[str]
+    _records: Sequence[_Lean]
+
+    def origins(self, *, number_source: Callable[[str, int], int]) -> EncounterOrigins:
+        """Say where they come from; ``number_source`` gives the number of a gateway's start by its name and anchor [ns]."""
+        sources = [number_source(gateway, record.wall_anchor_ns) for gateway, record in zip(self._gateways, self._records, strict=True)]
+        margins = [margin_of(margin_ns=record.margin_ns, error_ns=record.error_ns) for record in self._records]
+        return EncounterOrigins(
+            source=np.array(sources, dtype=np.int64),
+            margin_ns=np.array(margins, dtype=np.int64),
+            is_final=~np.array([record.is_ongoing for record in self._records], dtype=np.bool_),
+        )
+
+
+def load_encounters(database: sqlite3.Connection, *, kind: int) -> Iterator[LoadedEncounters]:
+    """Yield all encounters in pieces.
 
     Raises
     ------
@@ -62,17 +76,18 @@ def load_encounters(
         try:
             encounters = _make_rows(rows, records)
         except OverflowError:
-            placed = [
-                (row, change, gateway, _on_wall_clock(record))
-                for row, change, gateway, record in zip(rows, changes, gateways, records, strict=True)
-            ]
+            placed = [(*place, _on_wall_clock(record)) for *place, record in zip(rows, changes, gateways, records, strict=True)]
             fit = [(row, change, gateway, record) for row, change, gateway, record in placed if record is not None]
             n_left_out += len(placed) - len(fit)
-            changes, gateways = tuple(change for _, change, _, _ in fit), tuple(gateway for _, _, gateway, _ in fit)
+            rows, changes, gateways = (tuple(one[column] for one in fit) for column in range(3))
             records = [record for *_, record in fit]
-            encounters = _make_rows([row for row, *_ in fit], records)
-        sources = [number_source(names[gateway], record.wall_anchor_ns) for gateway, record in zip(gateways, records, strict=True)]
-        yield encounters, _make_origins(sources, records), np.array(changes, dtype=np.int64)
+            encounters = _make_rows(rows, records)
+        yield LoadedEncounters(
+            rows=encounters,
+            changes=np.array(changes, dtype=np.int64),
+            _gateways=[names[gateway] for gateway in gateways],
+            _records=records,
+        )
     if n_left_out:
         _log.warning("store.rows_left_out", encounters=n_left_out, reason="their numbers have more than 64 bits, or make no interval")
 
@@ -86,14 +101,6 @@ def _make_rows(rows: Sequence[int], records: Sequence[_Lean]) -> EncounterRows:
         id1=np.array([record.node_a for record in records], dtype=np.uint64).view(np.int64),
         id2=np.array([record.node_b for record in records], dtype=np.uint64).view(np.int64),
         counts=~np.array([record.is_void for record in records], dtype=np.bool_),
-    )
-
-
-def _make_origins(sources: Sequence[int], records: Sequence[_Lean]) -> EncounterOrigins:
-    return EncounterOrigins(
-        source=np.array(sources, dtype=np.int64),
-        margin_ns=np.array([margin_of(margin_ns=record.margin_ns, error_ns=record.error_ns) for record in records], dtype=np.int64),
-        is_final=~np.array([record.is_ongoing for record in records], dtype=np.bool_),
     )
 
 

@@ -4,16 +4,27 @@ Derived from the records alone, and made again when a store is opened: what is i
 the records are passed on as they are, and nothing of this costs more than remembering where each came from.
 """
 
+from collections.abc import Callable, Collection, Iterable, Sequence
+
 import msgspec.structs
 import numpy as np
 
-from firmware_protocol.contract.records import MissionRecord, ModeRecord
+from firmware_protocol.contract.records import EncounterRecord, MissionRecord, ModeRecord
 from mapper.clock_samples import SampledRows, number_pairs
 from mapper.clock_votes import ClockDifference
 from mapper.gateway_clocks import GatewayClocks, Source, SourceClock
 from mapper.joint_encounters import JointEncounters
 from mapper.mode_spells import ModeSpells
-from mapper.record_columns import MAX_WALL_NS, EncounterColumns, EncounterOrigins, EncounterRows, wall_interval
+from mapper.record_columns import (
+    MAX_WALL_NS,
+    EncounterColumns,
+    EncounterOrigins,
+    EncounterRows,
+    make_origins,
+    make_rows,
+    wall_interval,
+)
+from mapper.row_loader import LoadedEncounters
 from mapper.types import BoolArray, IntArray
 
 _FIRST_CAPACITY = 1024
@@ -22,9 +33,17 @@ _MANY = 0.1
 
 
 class SiteView:
-    """Encounters, modes and missions of a site by row of the store. ``encounters`` and ``modes`` are what maps are made of."""
+    """Encounters, modes and missions of a site by row of the store. ``encounters`` and ``modes`` are what maps are made of.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    load
+        Reads all encounters in the store: when it is opened, and once more when a second gateway comes.
+    """
+
+    def __init__(self, load: Callable[[], Iterable[LoadedEncounters]]) -> None:
+        self._load = load
+        self._known: set[str] = set()
         self.encounters = EncounterColumns()
         self.modes = ModeSpells()
         self.missions: dict[int, MissionRecord] = {}
@@ -50,39 +69,40 @@ class SiteView:
             self._gateway_of.append(number)
         return known
 
-    def take_encounters(self, rows: EncounterRows, origins: EncounterOrigins, *, changes: IntArray) -> None:
-        """Take records that are new or have changed; ``changes``, shape (m,), says by which change each was set.
+    @property
+    def is_joining(self) -> bool:
+        """Say whether there is more than one gateway."""
+        return self._is_joining
+
+    def open(self, *, gateways: Collection[str], change: int) -> None:
+        """Take in all that is in the store; ``change`` is the newest there, ``gateways`` all that have sent anything."""
+        self._known.update(gateways)
+        if len(self._known) > 1:
+            self._begin_joining(change=change, with_changes=True)
+            return
+        for loaded in self._load():
+            self.encounters.put(loaded.rows, changes=loaded.changes)
+
+    def take_encounters(self, rows: Sequence[int], records: Sequence[EncounterRecord], *, changes: IntArray) -> None:
+        """Take records that are new or have changed, and are in the store; ``changes``, shape (m,), says by which change each was set.
 
         Notes
         -----
         Rows that stand for something else because of them are set by the newest of these changes.
         """
-        if not len(rows):
-            return
-        self._remember(rows, origins)
-        if len(self._gateways) < 2:
-            self.encounters.put(rows, changes=changes)
-            return
-        change = int(changes.max())
-        if not self._is_joining:
-            self._begin_joining(change=change)
-            return
-        self._note(rows.row)
-        self._take(rows.row, change=change)
-        if self._clocks.is_overfull:
-            self.settle(change=change)
-
-    def load_encounters(self, rows: EncounterRows, origins: EncounterOrigins, *, changes: IntArray) -> None:
-        """Take records that were in the store when it was opened; `finish_loading` makes of them what they amount to."""
-        if len(rows):
-            self._remember(rows, origins)
-            self.encounters.put(rows, changes=changes)
-
-    def finish_loading(self, *, change: int) -> None:
-        """Join what was loaded, and settle the clocks; ``change`` is the newest."""
-        if len(self._gateways) > 1:
-            self._begin_joining(change=change)
-            self.settle(change=change)
+        self._known.update([record.gateway for record in records])
+        change = int(changes[-1])
+        if self._is_joining:
+            encounters = make_rows(rows, records)
+            self._remember(encounters, make_origins(records, number_source=self.number_source))
+            self._note(encounters.row)
+            self._take(encounters.row, change=change)
+            if self._clocks.is_overfull:
+                self.settle(change=change)
+        elif len(self._known) > 1:
+            self._begin_joining(change=change, with_changes=False)
+        else:
+            self.encounters.put(make_rows(rows, records), changes=changes)
 
     def take_other(self, row: int, record: ModeRecord | MissionRecord, *, change: int) -> None:
         """Take a mode or a phase of a mission; changes come in ascending order."""
@@ -108,9 +128,14 @@ class SiteView:
         """Return the rows of the encounter that a row tells of, that which stands for it first."""
         return self._joint.members(row)
 
-    def _begin_joining(self, *, change: int) -> None:
-        """Make up for what one gateway alone did not need."""
+    def _begin_joining(self, *, change: int, with_changes: bool) -> None:
+        """Load all that the store has, to make up for what one gateway alone did not need."""
         self._is_joining = True
+        for loaded in self._load():
+            if len(loaded.rows):
+                self._remember(loaded.rows, loaded.origins(number_source=self.number_source))
+                if with_changes:
+                    self.encounters.put(loaded.rows, changes=loaded.changes)
         self._note(self._present())
         self._rebuild(change=change)
 

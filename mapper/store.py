@@ -26,11 +26,12 @@ from firmware_protocol.contract.records import (
     encode_journal_record,
 )
 from firmware_protocol.errors import RecordError
-from firmware_protocol.units import BootId, NodeId
+from firmware_protocol.units import NodeId
+from mapper.encounter_pages import EncounterPage, read_page
 from mapper.errors import StoreError
 from mapper.gateway_clocks import SourceClock
 from mapper.offsets import OffsetSet
-from mapper.record_columns import is_fit, make_origins, make_rows, wall_interval
+from mapper.record_columns import is_fit, wall_interval
 from mapper.replica import StoreDelta
 from mapper.row_loader import load_encounters
 from mapper.site_view import SiteView
@@ -83,30 +84,6 @@ class StoreProgress:
 
     n_encounters: int
     change: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointEncounter:
-    """What several records of one encounter amount to: instants on the site's clock [ns], and the identities, the counted one first."""
-
-    t_start_ns: int
-    t_end_ns: int
-    is_reciprocal: bool
-    identities: tuple[tuple[str, BootId, int], ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EncounterPage:
-    """Encounters in the order in which they were last changed; ``cursor`` of the last one asks for what follows.
-
-    Beside each record: what is added to its gateway's wall clock [ns], and what it is a part of; None where it is alone.
-    """
-
-    records: tuple[EncounterRecord, ...]
-    shifts_ns: tuple[int, ...]
-    joint: tuple[JointEncounter | None, ...]
-    cursor: int
-    has_more: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -256,36 +233,7 @@ class Store:
 
     def encounters(self, *, after: int, limit: int) -> EncounterPage:
         """Return encounters changed after a cursor, void ones too; a corrected one comes again, at the end."""
-        found = self._db.execute(
-            "SELECT id, change, body FROM record WHERE kind = ? AND change > ? ORDER BY change LIMIT ?",
-            (Kind.ENCOUNTER, after, limit + 1),
-        ).fetchall()
-        rows = [(row, record) for row, _, body in found[:limit] if isinstance(record := decode_journal_record(body), EncounterRecord)]
-        return EncounterPage(
-            records=tuple(record for _, record in rows),
-            shifts_ns=tuple(self._shift_of(row, record) for row, record in rows),
-            joint=tuple(self._joint_of(row) for row, _ in rows),
-            cursor=found[:limit][-1][1] if found else after,
-            has_more=len(found) > limit,
-        )
-
-    def _shift_of(self, row: int, record: EncounterRecord) -> int:
-        place = self._site.encounters.interval(row)
-        return 0 if place is None else place[0] - wall_interval(record)[0]
-
-    def _joint_of(self, row: int) -> JointEncounter | None:
-        members = self._site.members(row)
-        place = self._site.encounters.interval(members[0])
-        if len(members) == 1 or place is None:
-            return None
-        bodies = [self._db.execute("SELECT body FROM record WHERE id = ?", (member,)).fetchone()[0] for member in members]
-        records = [record for body in bodies if isinstance(record := decode_journal_record(body), EncounterRecord)]
-        return JointEncounter(
-            t_start_ns=place[0],
-            t_end_ns=place[1],
-            is_reciprocal=any(record.is_reciprocal for record in records) or len({side.node for one in records for side in one.sides}) > 1,
-            identities=tuple(record.identity for record in records),
-        )
+        return read_page(self._db, self._site, kind=Kind.ENCOUNTER, after=after, limit=limit)
 
     def missions(self) -> tuple[MissionRecord, ...]:
         """Return all mission phases in the order in which they began."""
@@ -334,17 +282,16 @@ class Store:
                 self._db.execute("ROLLBACK")
 
     def _load(self) -> None:
-        self._site = SiteView()
+        self._site = SiteView(lambda: load_encounters(self._db, kind=Kind.ENCOUNTER))
         self._clocks: tuple[SourceClock, ...] = ()
         self._sources: dict[tuple[str, str], _Source] = {}
         self._last_row = 0
-        for rows, origins, changes in load_encounters(self._db, kind=Kind.ENCOUNTER, number_source=self._site.number_source):
-            self._site.load_encounters(rows, origins, changes=changes)
         others = self._db.execute("SELECT id, change, body FROM record WHERE kind <> ? ORDER BY change", (Kind.ENCOUNTER,))
         self._remember([(row, change, decode_journal_record(body)) for row, change, body in others])
         (self._last_row,) = self._db.execute("SELECT coalesce(max(id), 0) FROM record").fetchone()
         newest = [self._db.execute("SELECT max(change) FROM record WHERE kind = ?", (kind,)).fetchone()[0] or 0 for kind in Kind]
-        self._site.finish_loading(change=max(newest))
+        gateways = [name for (name,) in self._db.execute("SELECT name FROM gateway")]
+        self._site.open(gateways=gateways, change=max(newest))
         self._progress = StoreProgress(n_encounters=self.n_encounters, change=max(newest))
         self._settle_clocks()
         query = "SELECT source.id, gateway.id, name, journal, watermark FROM source JOIN gateway ON gateway.id = source.gateway"
@@ -364,10 +311,8 @@ class Store:
                     self._site.take_other(row, record, change=change)
             self._last_row = max(self._last_row, row)
         if encounters:
-            records = [record for _, record in encounters.values()]
-            origins = make_origins(records, number_source=self._site.number_source)
             changes = np.array([change for change, _ in encounters.values()], dtype=np.int64)
-            self._site.take_encounters(make_rows(list(encounters), records), origins, changes=changes)
+            self._site.take_encounters(list(encounters), [record for _, record in encounters.values()], changes=changes)
 
     def _settle_clocks(self) -> None:
         """Put all gateways on one clock, by all that is known now."""

@@ -10,9 +10,9 @@ from fastapi import Request, Response
 from firmware_protocol.contract.records import EncounterRecord, GatewayStatus, MissionRecord
 from mapper.commands import Command
 from mapper.current_map import MapStatus
+from mapper.encounter_pages import JointEncounter
 from mapper.fleet import BiobotView, GatewayView
 from mapper.gateway_clocks import SourceClock
-from mapper.store import JointEncounter
 
 JSON_TYPE = "application/json"
 
