@@ -124,6 +124,8 @@ class Meeting(Struct, kw_only=True, gc=False):
             is_reciprocal=a is not None and b is not None,
             is_ongoing=is_ongoing,
             is_void=is_void,
+            # No more than what is left of the cover at either end, so that no two records of a pair cover the same instant.
+            margin_ns=max(0, min(start_ns - self.cover_start_ns, self.cover_end_ns - end_ns)),
             sides=(a, b) if a is not None and b is not None else (a,) if a is not None else () if b is None else (b,),
         )
 

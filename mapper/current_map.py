@@ -8,6 +8,7 @@ from math import ceil
 from typing import Final
 
 from mapper.changes import Changes, Topic
+from mapper.clock_watch import ClockWatch
 from mapper.errors import JobError, MapError, NoMapYetError, StoreError, WorkerDiedError
 from mapper.fleet import Fleet
 from mapper.log import EventLog
@@ -84,6 +85,7 @@ class CurrentMap:
         self.keeping_fault: str | None = None
         self.dating_fault: str | None = None
         self._clock = clock
+        self._clock_watch = ClockWatch()
         self._records = records
         self._recipe = recipe
         self._window_ns = window_ns
@@ -138,8 +140,9 @@ class CurrentMap:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What is wrong with the making, keeping and dating of maps."""
-        return tuple(fault for fault in (self.last_fault, self.keeping_fault, self.dating_fault, self._slowness()) if fault is not None)
+        """What is wrong with the making, keeping and dating of maps, and with the gateways' clocks."""
+        own = (self.last_fault, self.keeping_fault, self.dating_fault, self._slowness())
+        return (*(fault for fault in own if fault is not None), *self._clock_watch.faults)
 
     def _slowness(self) -> str | None:
         """Say that a map takes far longer than the one before; a process that is stopped gives no other sign."""
@@ -183,6 +186,7 @@ class CurrentMap:
 
     async def restore(self) -> None:
         """Serve the map that was kept before the last end, if this recipe and program made it and it can be read."""
+        self._clock_watch.look(self._records.clocks)
         try:
             kept = await self._records.call(Store.kept_map, made_by=self._made_by)
         except StoreError as error:
@@ -258,6 +262,7 @@ class CurrentMap:
     async def _compute(self, *, after: int) -> tuple[MapDocuments | TooFew | OutOfStep, int]:
         delta, n_encounters_of = await self._records.call(lambda store: (store.delta(after=after), store.count_by_node()))
         self._fleet.set_encounter_counts(n_encounters_of)
+        self._clock_watch.look(self._records.clocks)
         # Whatever ends this job early ends the worker's copy with it, or leaves it in doubt: the next one gets everything.
         self._n_sent = 0
         outcome = await self.worker.run(make_map, delta, self._recipe, window_ns=self._window_ns, now_ns=self._clock())

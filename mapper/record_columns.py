@@ -5,7 +5,7 @@ negative numbers, by `to_signed`, and named properly again, by `to_unsigned`, wh
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,10 @@ from mapper.types import BoolArray, IntArray
 _MIN_INTEGER, _MAX_INTEGER = -(2**63), 2**63 - 1
 _MAX_NODE = 2**64 - 1
 # Year 2116: any two instants below differ by less than a table can span.
-_MAX_WALL_NS = 2**62
+MAX_WALL_NS = 2**62
+# As `gateway.encounters` has them: a clock known badly widens no margin beyond 0.1 s, and no beacon period exceeds 65.5 s.
+_MAX_ERROR_MARGIN_NS = 100_000_000
+_MAX_MARGIN_NS = 40_000_000_000
 _FIRST_CAPACITY = 1024
 
 
@@ -38,6 +41,18 @@ class EncounterRows:
 
     def __len__(self) -> int:
         return len(self.row)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EncounterOrigins:
+    """Where encounters come from, and what joins them to others; arrays of shape (m,), beside an `EncounterRows`.
+
+    ``source`` is the number of a start of a gateway; ``margin_ns`` as in CONTRACT.md §3; ``is_final``: the encounter was not under way.
+    """
+
+    source: IntArray
+    margin_ns: IntArray
+    is_final: BoolArray
 
 
 def to_signed(node: int) -> NodeId:
@@ -65,7 +80,7 @@ def is_fit(record: JournalRecord) -> bool:
     instants = (record.wall_anchor_ns, record.t_start_ns, 0 if isinstance(record, MissionRecord) else record.t_end_ns or 0)
     if min(instants) < _MIN_INTEGER or max(instants) > _MAX_INTEGER:
         return False
-    if not 0 <= begin <= (begin if end is None else end) < _MAX_WALL_NS:
+    if not 0 <= begin <= (begin if end is None else end) < MAX_WALL_NS:
         return False
     if isinstance(record, EncounterRecord) and record.node_a == record.node_b:
         return False
@@ -74,7 +89,7 @@ def is_fit(record: JournalRecord) -> bool:
 
 def is_fit_for_columns(*, begin_ns: int, end_ns: int, node_a: int, node_b: int) -> bool:
     """Say whether an encounter's interval on the wall clock and its ids can stand in columns."""
-    return 0 <= begin_ns <= end_ns < _MAX_WALL_NS and 0 <= node_a <= _MAX_NODE and 0 <= node_b <= _MAX_NODE
+    return 0 <= begin_ns <= end_ns < MAX_WALL_NS and 0 <= node_a <= _MAX_NODE and 0 <= node_b <= _MAX_NODE
 
 
 def make_rows(rows: Sequence[int], records: Sequence[EncounterRecord]) -> EncounterRows:
@@ -86,6 +101,20 @@ def make_rows(rows: Sequence[int], records: Sequence[EncounterRecord]) -> Encoun
         id1=np.array([record.node_a for record in records], dtype=np.uint64).view(np.int64),
         id2=np.array([record.node_b for record in records], dtype=np.uint64).view(np.int64),
         counts=np.array([not record.is_void for record in records], dtype=np.bool_),
+    )
+
+
+def margin_of(*, margin_ns: int, error_ns: int) -> int:
+    """Return how far a record covers the time around its interval [ns]; gateways of earlier versions do not tell, and it is their error."""
+    return max(0, min(_MAX_MARGIN_NS, max(margin_ns, min(error_ns, _MAX_ERROR_MARGIN_NS))))
+
+
+def make_origins(records: Sequence[EncounterRecord], *, number_source: Callable[[str, int], int]) -> EncounterOrigins:
+    """Say where records come from; ``number_source`` gives the number of a gateway's start by name and anchor."""
+    return EncounterOrigins(
+        source=np.array([number_source(record.gateway, record.wall_anchor_ns) for record in records], dtype=np.int64),
+        margin_ns=np.array([margin_of(margin_ns=record.margin_ns, error_ns=record.error_ns) for record in records], dtype=np.int64),
+        is_final=np.array([not record.is_ongoing for record in records], dtype=np.bool_),
     )
 
 
@@ -116,6 +145,20 @@ class EncounterColumns:
         row = np.flatnonzero(changes > change)
         begin, end, id1, id2 = (column[row] for column in self._columns[:4])
         return EncounterRows(row=row, t_start_ns=begin, t_end_ns=end, id1=id1, id2=id2, counts=counts[row].astype(np.bool_))
+
+    def differs(self, rows: EncounterRows) -> BoolArray:
+        """Say of each row, shape (m,), whether it is another one here, or not here."""
+        self._reserve(int(rows.row.max(initial=-1)) + 1)
+        begin, end, id1, id2, counts, changes = self._columns[:, rows.row]
+        is_same = (begin == rows.t_start_ns) & (end == rows.t_end_ns) & (id1 == rows.id1) & (id2 == rows.id2) & (counts == rows.counts)
+        differs: BoolArray = ~(is_same & (changes > 0))
+        return differs
+
+    def interval(self, row: int) -> tuple[int, int] | None:
+        """Return begin and end [ns] of a row; None where there is no encounter."""
+        if row >= self._n_rows or not self._columns[5, row]:
+            return None
+        return int(self._columns[0, row]), int(self._columns[1, row])
 
     def count_by_node(self) -> Mapping[NodeId, int]:
         """Count the encounters of each biobot that has any."""

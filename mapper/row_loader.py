@@ -1,7 +1,8 @@
 """Read all encounters of a store at once: half a million in about a second, because only what a map needs of them is decoded."""
 
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import msgspec
 import msgspec.structs
@@ -9,7 +10,7 @@ import numpy as np
 
 from firmware_protocol.errors import RecordError
 from mapper.log import EventLog
-from mapper.record_columns import EncounterRows, is_fit_for_columns
+from mapper.record_columns import EncounterOrigins, EncounterRows, is_fit_for_columns, margin_of
 from mapper.types import IntArray
 
 _log = EventLog(__name__)
@@ -26,13 +27,36 @@ class _Lean(msgspec.Struct, frozen=True, gc=False, tag="encounter"):
     node_a: int
     node_b: int
     is_void: bool = False
+    error_ns: int = 0
+    margin_ns: int = 0
+    is_ongoing: bool = False
 
 
 _decoder = msgspec.msgpack.Decoder(list[_Lean])
 
 
-def load_encounters(database: sqlite3.Connection, *, kind: int) -> Iterator[tuple[EncounterRows, IntArray]]:
-    """Yield all encounters in pieces, each with the numbers of its rows' last changes, shape (m,).
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LoadedEncounters:
+    """Encounters of a store, with the numbers of their rows' last changes, shape (m,)."""
+
+    rows: EncounterRows
+    changes: IntArray
+    _gateways: Sequence[str]
+    _records: Sequence[_Lean]
+
+    def origins(self, *, number_source: Callable[[str, int], int]) -> EncounterOrigins:
+        """Say where they come from; ``number_source`` gives the number of a gateway's start by its name and anchor [ns]."""
+        sources = [number_source(gateway, record.wall_anchor_ns) for gateway, record in zip(self._gateways, self._records, strict=True)]
+        margins = [margin_of(margin_ns=record.margin_ns, error_ns=record.error_ns) for record in self._records]
+        return EncounterOrigins(
+            source=np.array(sources, dtype=np.int64),
+            margin_ns=np.array(margins, dtype=np.int64),
+            is_final=~np.array([record.is_ongoing for record in self._records], dtype=np.bool_),
+        )
+
+
+def load_encounters(database: sqlite3.Connection, *, kind: int) -> Iterator[LoadedEncounters]:
+    """Yield all encounters in pieces.
 
     Raises
     ------
@@ -43,20 +67,27 @@ def load_encounters(database: sqlite3.Connection, *, kind: int) -> Iterator[tupl
     -----
     Rows whose numbers fit no column are left out, and the log says how many: a store opens whatever an earlier version let into it.
     """
-    cursor = database.execute("SELECT id, change, body FROM record WHERE +kind = ? ORDER BY id", (kind,))
+    names: Mapping[int, str] = dict(database.execute("SELECT id, name FROM gateway").fetchall())
+    cursor = database.execute("SELECT id, change, gateway, body FROM record WHERE +kind = ? ORDER BY id", (kind,))
     n_left_out = 0
     while chunk := cursor.fetchmany(_CHUNK):
-        rows, changes, bodies = (tuple(column) for column in zip(*chunk, strict=True))
+        rows, changes, gateways, bodies = (tuple(column) for column in zip(*chunk, strict=True))
         records = _decode(bodies)
         try:
             encounters = _make_rows(rows, records)
         except OverflowError:
-            placed = [(row, change, _on_wall_clock(record)) for row, change, record in zip(rows, changes, records, strict=True)]
-            fit = [(row, change, record) for row, change, record in placed if record is not None]
+            placed = [(*place, _on_wall_clock(record)) for *place, record in zip(rows, changes, gateways, records, strict=True)]
+            fit = [(row, change, gateway, record) for row, change, gateway, record in placed if record is not None]
             n_left_out += len(placed) - len(fit)
-            changes = tuple(change for _, change, _ in fit)
-            encounters = _make_rows([row for row, _, _ in fit], [record for _, _, record in fit])
-        yield encounters, np.array(changes, dtype=np.int64)
+            rows, changes, gateways = (tuple(one[column] for one in fit) for column in range(3))
+            records = [record for *_, record in fit]
+            encounters = _make_rows(rows, records)
+        yield LoadedEncounters(
+            rows=encounters,
+            changes=np.array(changes, dtype=np.int64),
+            _gateways=[names[gateway] for gateway in gateways],
+            _records=records,
+        )
     if n_left_out:
         _log.warning("store.rows_left_out", encounters=n_left_out, reason="their numbers have more than 64 bits, or make no interval")
 

@@ -26,13 +26,15 @@ from firmware_protocol.contract.records import (
 )
 from firmware_protocol.errors import RecordError
 from firmware_protocol.units import NodeId
+from mapper.encounter_pages import EncounterPage, read_page
 from mapper.errors import StoreError
-from mapper.mode_spells import ModeSpells
+from mapper.gateway_clocks import SourceClock
 from mapper.offsets import OffsetSet
-from mapper.record_columns import EncounterColumns, is_fit, make_rows, wall_interval
+from mapper.record_columns import is_fit, wall_interval
 from mapper.record_rows import RecordRows
 from mapper.replica import StoreDelta
 from mapper.row_loader import load_encounters
+from mapper.site_view import SiteView
 from mapper.store_file import open_store_file, store_name, translate
 
 _MAX_INTEGER = 2**63 - 1
@@ -74,15 +76,6 @@ class StoreProgress:
 
     n_encounters: int
     change: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EncounterPage:
-    """Encounters in the order in which they were last changed; ``cursor`` of the last one asks for what follows."""
-
-    records: tuple[EncounterRecord, ...]
-    cursor: int
-    has_more: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,7 +127,7 @@ class Store:
     @property
     def n_encounters(self) -> int:
         """Count the encounters that are not void."""
-        return self._encounters.n_counting
+        return self._site.encounters.n_counting
 
     @property
     def progress(self) -> StoreProgress:
@@ -171,6 +164,11 @@ class Store:
             modes=tuple(record for _, _, record in fresh if isinstance(record, ModeRecord)),
         )
 
+    @property
+    def clocks(self) -> tuple[SourceClock, ...]:
+        """How each start of each gateway stood to the site's clock when the last map was begun; any thread may ask."""
+        return self._clocks
+
     def watermark(self, *, gateway: str, journal: str) -> int:
         """Return the highest offset of a journal up to which nothing is missing, 0 where nothing has come."""
         source = self._sources.get((gateway, journal))
@@ -196,34 +194,31 @@ class Store:
         Where a mission set landmarks, encounters count from the newest exploration on: between earlier ones and the landmarks lies
         time in which nobody stood still ([Dir16] IV: time 0 is the moment the landmarks are set).
         """
-        begun = [wall_interval(record)[0] for record in self._missions.values() if record.phase is MissionPhase.EXPLORATION]
+        self._settle_clocks()
+        begun = [wall_interval(record)[0] for record in self._site.missions.values() if record.phase is MissionPhase.EXPLORATION]
         return StoreDelta(
             base=after,
             change=self._progress.change,
-            encounters=self._encounters.changed_after(after),
-            modes=self._modes.changed_after(after),
+            encounters=self._site.encounters.changed_after(after),
+            modes=self._site.modes.changed_after(after),
             since_ns=max(begun, default=None),
         )
 
     def count_by_node(self) -> Mapping[NodeId, int]:
         """Count the encounters of each biobot, those before any mission too (unsigned ids)."""
-        return self._encounters.count_by_node()
+        return self._site.encounters.count_by_node()
 
     def encounters(self, *, after: int, limit: int) -> EncounterPage:
         """Return encounters changed after a cursor, void ones too; a corrected one comes again, at the end."""
-        rows = self._db.execute(
-            "SELECT change, body FROM record WHERE kind = ? AND change > ? ORDER BY change LIMIT ?", (Kind.ENCOUNTER, after, limit + 1)
-        ).fetchall()
-        records = [record for _, body in rows[:limit] if isinstance(record := decode_journal_record(body), EncounterRecord)]
-        return EncounterPage(records=tuple(records), cursor=rows[:limit][-1][0] if rows else after, has_more=len(rows) > limit)
+        return read_page(self._db, self._site, kind=Kind.ENCOUNTER, after=after, limit=limit)
 
     def missions(self) -> tuple[MissionRecord, ...]:
         """Return all mission phases in the order in which they began."""
-        return tuple(sorted(self._missions.values(), key=lambda record: (wall_interval(record)[0], record.gateway, record.offset)))
+        return tuple(sorted(self._site.missions.values(), key=lambda record: (wall_interval(record)[0], record.gateway, record.offset)))
 
     def latest_modes(self) -> tuple[ModeRecord, ...]:
         """Return the newest mode of every biobot."""
-        return self._modes.latest()
+        return self._site.modes.latest()
 
     def keep_map(self, kept: KeptMap) -> None:
         """Keep a finished map in the place of the one before.
@@ -281,17 +276,17 @@ class Store:
                 self._db.execute("ROLLBACK")
 
     def _load(self) -> None:
-        self._encounters = EncounterColumns()
-        self._modes = ModeSpells()
-        self._missions: dict[int, MissionRecord] = {}
+        self._site = SiteView(lambda: load_encounters(self._db, kind=Kind.ENCOUNTER))
+        self._clocks: tuple[SourceClock, ...] = ()
         self._sources: dict[tuple[str, str], _Source] = {}
-        for rows, changes in load_encounters(self._db, kind=Kind.ENCOUNTER):
-            self._encounters.put(rows, changes=changes)
         others = self._db.execute("SELECT id, change, body FROM record WHERE kind <> ? ORDER BY change", (Kind.ENCOUNTER,))
         self._remember([(row, change, decode_journal_record(body)) for row, change, body in others])
         self._rows = RecordRows(self._db)
         newest = [self._db.execute("SELECT max(change) FROM record WHERE kind = ?", (kind,)).fetchone()[0] or 0 for kind in Kind]
+        gateways = [name for (name,) in self._db.execute("SELECT name FROM gateway")]
+        self._site.open(gateways=gateways, change=max(newest))
         self._progress = StoreProgress(n_encounters=self.n_encounters, change=max(newest))
+        self._settle_clocks()
         query = "SELECT source.id, gateway.id, name, journal, watermark FROM source JOIN gateway ON gateway.id = source.gateway"
         for source_id, gateway_id, name, journal, watermark in self._db.execute(query).fetchall():
             spans = self._db.execute("SELECT first, last FROM span WHERE source = ?", (source_id,)).fetchall()
@@ -305,13 +300,18 @@ class Store:
             match record:
                 case EncounterRecord():
                     encounters[row] = (change, record)
-                case ModeRecord():
-                    self._modes.put(row, record, change=change)
-                case MissionRecord():
-                    self._missions[row] = record
+                case ModeRecord() | MissionRecord():
+                    self._site.take_other(row, record, change=change)
         if encounters:
-            rows = make_rows(list(encounters), [record for _, record in encounters.values()])
-            self._encounters.put(rows, changes=np.array([change for change, _ in encounters.values()], dtype=np.int64))
+            changes = np.array([change for change, _ in encounters.values()], dtype=np.int64)
+            self._site.take_encounters(list(encounters), [record for _, record in encounters.values()], changes=changes)
+
+    def _settle_clocks(self) -> None:
+        """Put all gateways on one clock, by all that is known now."""
+        change = self._progress.change
+        self._site.settle(change=change)
+        self._clocks = self._site.clocks()
+        self._progress = StoreProgress(n_encounters=self.n_encounters, change=change)
 
     def _copy_source(self, gateway: str, journal: str) -> _Source:
         known = self._sources.get((gateway, journal))

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Concatenate, ParamSpec, Self, TypeVar
 
+from mapper.gateway_clocks import SourceClock
 from mapper.store import Store, StoreProgress
 
 _P = ParamSpec("_P")
@@ -42,6 +43,11 @@ class StoreThread:
     def progress(self) -> StoreProgress:
         """How far the store has come; no waiting."""
         return self._store.progress
+
+    @property
+    def clocks(self) -> tuple[SourceClock, ...]:
+        """How the gateways' clocks stood when the last map was begun; no waiting."""
+        return self._store.clocks
 
     async def call(self, method: Callable[Concatenate[Store, _P], _T], *args: _P.args, **kwargs: _P.kwargs) -> _T:
         """Call a method of the store there: ``await records.call(Store.missions)``."""

@@ -117,6 +117,8 @@ class EncounterRecord(RecordHead, frozen=True, kw_only=True, tag="encounter"):
     """The newest report said that it had not ended."""
     is_void: bool = False
     """This record turned out to be a part of another one, and no longer counts."""
+    margin_ns: _Count = 0
+    """Reports no further than this from the interval, and as much from their own, belong to the same encounter."""
     sides: tuple[EncounterSide, ...] = ()
 
 

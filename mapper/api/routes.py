@@ -23,6 +23,7 @@ from mapper.api.schemas import (
     CommandView,
     DiagramView,
     EncounterList,
+    GatewayList,
     HealthView,
     MapStatusView,
     MapView,
@@ -39,6 +40,7 @@ from mapper.api.views import (
     view_command,
     view_encounter,
     view_gateway,
+    view_gateways,
     view_map_status,
     view_mission,
 )
@@ -135,16 +137,28 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
             }
         )
 
+    @router.get("/api/v1/gateways", tags=["biobots"], responses=_answers(GatewayList))
+    async def get_gateways() -> Response:
+        """List all gateways, and how far the clock of each of their starts is from the site's."""
+        views = services.fleet.gateways(now_ns=time.monotonic_ns())
+        return json_response({"gateways": view_gateways(views, services.records.clocks)})
+
     @router.get("/api/v1/encounters", tags=["records"], responses=_answers(EncounterList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
     async def get_encounters(
         after: Annotated[int, Query(ge=0, le=_MAX_CURSOR, description="The cursor of the page before")] = 0,
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     ) -> Response:
-        """List encounters in the order in which they were last changed; a void one was a part of another and counts no more."""
+        """List records of encounters in the order in which they were last changed; a void one was a part of another and counts no more.
+
+        What several gateways told of is in as many records; each says what it is a part of, as things stand now.
+        """
         page = await services.records.call(Store.encounters, after=after, limit=limit)
         return json_response(
             {
-                "encounters": [view_encounter(record) for record in page.records],
+                "encounters": [
+                    view_encounter(record, shift_ns=shift_ns, joint=joint)
+                    for record, shift_ns, joint in zip(page.records, page.shifts_ns, page.joint, strict=True)
+                ],
                 "cursor": page.cursor,
                 "next": page.cursor if page.has_more else None,
             }

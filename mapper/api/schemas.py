@@ -89,6 +89,30 @@ class GatewayItem(_Answer):
     counters: dict[str, int]
 
 
+class ClockItem(_Answer):
+    """The wall clock of one start of a gateway, beside the site's, by encounters that another gateway told of too."""
+
+    wall_anchor_ns: int = Field(description="Names the start: UTC minus the monotonic clock, as that start had it")
+    reference: str | None = Field(description="The gateway whose clock is the site's; null: too few encounters are shared to say")
+    ahead_ns: int | None = Field(description="So much ahead of the site's clock at the newest shared encounters")
+    bound_ns: int | None = Field(description="ahead_ns is not wrong by more")
+    n_shared: int = Field(description="Shared encounters that say so")
+    since_wall_ns: int | None = Field(description="When the first of them were [site's clock]")
+    is_corrected: bool = Field(description="What it recorded is shifted; not done where ahead_ns is within bound_ns")
+
+
+class GatewayClockItem(GatewayItem):
+    """A gateway and the clocks of its starts, the newest first."""
+
+    clocks: list[ClockItem]
+
+
+class GatewayList(_Answer):
+    """All gateways."""
+
+    gateways: list[GatewayClockItem]
+
+
 class BiobotItem(_Answer):
     """A biobot; null where nobody has said it yet."""
 
@@ -119,8 +143,26 @@ class BiobotList(_Answer):
     biobots: list[BiobotItem]
 
 
+class RecordName(_Answer):
+    """The identity of a record."""
+
+    gateway: str
+    boot: int
+    sequence: int
+
+
+class JointItem(_Answer):
+    """One encounter that several gateways told of."""
+
+    is_counted: bool = Field(description="Of its records, this is the one that stands for it in map and counts")
+    t_start_wall_ns: int
+    t_end_wall_ns: int
+    is_reciprocal: bool
+    records: list[RecordName]
+
+
 class EncounterItem(_Answer):
-    """An encounter in its newest revision; instants are on the wall clock [ns since 1970, UTC]."""
+    """An encounter in its newest revision; instants are on the site's wall clock [ns since 1970, UTC]."""
 
     gateway: str
     boot: int
@@ -130,10 +172,12 @@ class EncounterItem(_Answer):
     node_b: int
     t_start_wall_ns: int
     t_end_wall_ns: int
+    clock_shift_ns: int = Field(description="Of these instants, what was added to the gateway's own wall clock")
     error_ns: int
     is_reciprocal: bool
     is_ongoing: bool
     is_void: bool
+    joint: JointItem | None = Field(description="As things stand now; null: no other gateway told of it")
 
 
 class EncounterList(_Answer):

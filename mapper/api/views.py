@@ -1,6 +1,7 @@
 """From the mapper's values to the JSON objects that ``schemas`` describes."""
 
 import time
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
 import msgspec
@@ -9,7 +10,9 @@ from fastapi import Request, Response
 from firmware_protocol.contract.records import EncounterRecord, GatewayStatus, MissionRecord
 from mapper.commands import Command
 from mapper.current_map import MapStatus
+from mapper.encounter_pages import JointEncounter
 from mapper.fleet import BiobotView, GatewayView
+from mapper.gateway_clocks import SourceClock
 
 JSON_TYPE = "application/json"
 
@@ -110,8 +113,8 @@ def view_map_status(status: MapStatus) -> dict[str, object]:
     }
 
 
-def view_encounter(record: EncounterRecord) -> dict[str, object]:
-    """Describe an encounter, its instants on the wall clock."""
+def view_encounter(record: EncounterRecord, *, shift_ns: int, joint: JointEncounter | None) -> dict[str, object]:
+    """Describe an encounter, its instants on the site's wall clock: that of its gateway and ``shift_ns``."""
     return {
         "gateway": record.gateway,
         "boot": record.boot,
@@ -119,12 +122,50 @@ def view_encounter(record: EncounterRecord) -> dict[str, object]:
         "revision": record.revision,
         "node_a": record.node_a,
         "node_b": record.node_b,
-        "t_start_wall_ns": record.t_start_ns + record.wall_anchor_ns,
-        "t_end_wall_ns": record.t_end_ns + record.wall_anchor_ns,
+        "t_start_wall_ns": record.t_start_ns + record.wall_anchor_ns + shift_ns,
+        "t_end_wall_ns": record.t_end_ns + record.wall_anchor_ns + shift_ns,
+        "clock_shift_ns": shift_ns,
         "error_ns": record.error_ns,
         "is_reciprocal": record.is_reciprocal,
         "is_ongoing": record.is_ongoing,
         "is_void": record.is_void,
+        "joint": None if joint is None else _view_joint(joint, record),
+    }
+
+
+def _view_joint(joint: JointEncounter, record: EncounterRecord) -> dict[str, object]:
+    return {
+        "is_counted": joint.identities[0] == record.identity,
+        "t_start_wall_ns": joint.t_start_ns,
+        "t_end_wall_ns": joint.t_end_ns,
+        "is_reciprocal": joint.is_reciprocal,
+        "records": [{"gateway": gateway, "boot": boot, "sequence": sequence} for gateway, boot, sequence in joint.identities],
+    }
+
+
+def view_gateways(views: Iterable[GatewayView], clocks: Iterable[SourceClock]) -> list[dict[str, object]]:
+    """Describe gateways by name, and the clocks of all their starts, the newest first; one that is known by its records alone too."""
+    starts: defaultdict[str, list[SourceClock]] = defaultdict(list)
+    for clock in sorted(clocks, key=lambda clock: -clock.last_row):
+        starts[clock.source.gateway].append(clock)
+    described = {view.name: view_gateway(view) for view in views}
+    absent = {"is_alive": False, "radios": {}, "counters": {}}
+    return [
+        {**(described.get(name) or {"name": name, **absent}), "clocks": [_view_clock(clock) for clock in starts[name]]}
+        for name in sorted(described.keys() | starts.keys())
+    ]
+
+
+def _view_clock(clock: SourceClock) -> dict[str, object]:
+    is_known = clock.offset_ns is not None
+    return {
+        "wall_anchor_ns": clock.source.anchor_ns,
+        "reference": clock.reference.gateway if is_known else None,
+        "ahead_ns": None if clock.offset_ns is None else -clock.offset_ns,
+        "bound_ns": clock.bound_ns if is_known else None,
+        "n_shared": clock.n_votes,
+        "since_wall_ns": clock.since_ns,
+        "is_corrected": clock.is_corrected,
     }
 
 

@@ -302,7 +302,7 @@ def test_once_a_mission_has_set_landmarks_only_what_came_after_counts() -> None:
 
 def test_gateways_and_their_journals_are_told_apart() -> None:
     store = Store(None)
-    store.apply([batch([encounter(1)]), batch([encounter(1, gateway="gateway2")], gateway="gateway2")])
+    store.apply([batch([encounter(1)]), batch([encounter(1, nodes=(1, 3), gateway="gateway2")], gateway="gateway2")])
     store.apply([batch([encounter(1, sequence=2, journal="journal2")], journal="journal2")])
     assert store.n_encounters == 3
     assert store.watermark(gateway="gateway1", journal="journal2") == 1

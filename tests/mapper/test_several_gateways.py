@@ -1,0 +1,254 @@
+"""Several gateways of one site: each encounter once, all on one clock, whatever came first."""
+
+from contextlib import closing
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec.structs
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.contract.records import EncounterRecord, MissionPhase, MissionRecord, ModeRecord
+from firmware_protocol.units import Nanoseconds
+from mapper.mode_spells import ModeSpells
+from mapper.replica import Replica
+from mapper.store import Store
+from tests.mapper.fake_gateway import ANCHOR_NS, S, batch, encounter, mission, mode
+from tests.mapper.site import Meeting, batches, encounters_of, heard, meetings, offsets_s
+
+GATEWAYS = ("north", "south", "west")
+Interval = tuple[int, int, int, int]
+
+
+def joined_plainly(records: list[EncounterRecord]) -> list[Interval]:
+    """The rule, told slowly: connected pieces of covers of a pair, where two gateways at least tell of them; else each by itself."""
+    newest: dict[object, EncounterRecord] = {}
+    for record in records:
+        if record.identity not in newest or record.revision > newest[record.identity].revision:
+            newest[record.identity] = record
+    found: list[Interval] = []
+    counting = [record for record in newest.values() if not record.is_void]
+    for nodes in {(record.node_a, record.node_b) for record in counting}:
+        pieces: list[list[EncounterRecord]] = []
+        for record in [record for record in counting if (record.node_a, record.node_b) == nodes]:
+            touching = [
+                piece
+                for piece in pieces
+                if any(
+                    one.t_start_ns - one.margin_ns <= record.t_end_ns + record.margin_ns
+                    and record.t_start_ns - record.margin_ns <= one.t_end_ns + one.margin_ns
+                    for one in piece
+                )
+            ]
+            pieces = [piece for piece in pieces if piece not in touching] + [[record, *(one for piece in touching for one in piece)]]
+        for piece in pieces:
+            parts = [piece] if len({record.gateway for record in piece}) > 1 else [[record] for record in piece]
+            found += [(min(one.t_start_ns for one in part), max(one.t_end_ns for one in part), *nodes) for part in parts]
+    return sorted(found)
+
+
+@st.composite
+def journals(draw: st.DrawFn) -> list[EncounterRecord]:
+    """What up to three gateways tell of two pairs, corrections among it; clocks are right, and margins as told."""
+    records: list[EncounterRecord] = []
+    for gateway in draw(st.lists(st.sampled_from(GATEWAYS), min_size=1, max_size=3, unique=True)):
+        revisions: dict[int, int] = {}
+        for offset in range(1, draw(st.integers(1, 9)) + 1):
+            sequence = draw(st.integers(0, 5))
+            revisions[sequence] = revisions.get(sequence, -1) + 1
+            begin = draw(st.integers(0, 30))
+            record = encounter(
+                offset,
+                sequence=sequence,
+                revision=revisions[sequence],
+                nodes=(1, 2 + sequence % 2),
+                t_ns=(begin, begin + draw(st.integers(0, 6))),
+                gateway=gateway,
+                is_void=draw(st.sampled_from([False, False, True])),
+            )
+            margin = draw(st.integers(0, 2))
+            records.append(msgspec.structs.replace(record, margin_ns=margin, error_ns=Nanoseconds(0)))
+    return records
+
+
+@settings(max_examples=80)
+@given(records=journals(), data=st.data())
+def test_an_encounter_that_several_gateways_tell_of_counts_once_in_whatever_order_and_batches_they_do(
+    records: list[EncounterRecord], data: st.DataObject
+) -> None:
+    order = data.draw(st.permutations(records))
+    wanted = joined_plainly(records)
+    with closing(Store(None)) as at_once, closing(Store(None)) as piecemeal:
+        at_once.apply(batches(records))
+        while order:
+            size = data.draw(st.integers(1, len(order)))
+            piecemeal.apply(batches(order[:size]))
+            order = order[size:]
+        assert encounters_of(piecemeal) == encounters_of(at_once) == wanted
+        assert piecemeal.n_encounters == piecemeal.progress.n_encounters == len(wanted)
+        assert dict(piecemeal.count_by_node()) == dict(at_once.count_by_node())
+
+
+@settings(max_examples=30)
+@given(records=journals())
+def test_a_copy_that_is_sent_only_what_has_changed_has_all(records: list[EncounterRecord]) -> None:
+    replica = Replica()
+    with closing(Store(None)) as store:
+        for one in batches(records):
+            store.apply([one])
+            assert replica.take(store.delta(after=replica.change))
+        table = replica.encounters.table()
+        rows = zip(table.t_start_ns - ANCHOR_NS, table.t_end_ns - ANCHOR_NS, table.id1, table.id2, strict=True)
+        assert [tuple(map(int, row)) for row in rows] == joined_plainly(records)
+
+
+@pytest.mark.parametrize("ahead_s", [-86_400.5, -240.0, 0.9, 7200.0])
+def test_a_clock_that_is_wrong_is_found_out_by_shared_encounters_and_each_counts_once(ahead_s: float) -> None:
+    what = meetings(400, seed=3)
+    with closing(Store(None)) as store:
+        store.apply(batches(heard(what, gateway="north", jitter_s=0.2, seed=1, margin_ns=S // 2)))
+        store.apply(batches(heard(what, gateway="south", jitter_s=0.2, seed=2, margin_ns=S // 2, ahead_s=ahead_s)))
+        found = encounters_of(store)
+        clocks = {clock.source.gateway: clock for clock in store.clocks}
+    assert len(found) == len(what)
+    assert max(abs(begin - one.begin_ns) for (begin, *_), one in zip(found, what, strict=True)) <= 0.3 * S
+    south = clocks["south"]
+    assert south.offset_ns is not None
+    assert abs(south.offset_ns + ahead_s * S) <= south.bound_ns <= 0.15 * S
+    assert (south.reference.gateway, south.n_votes, south.is_corrected) == ("north", len(what), True)
+    assert (clocks["north"].offset_ns, clocks["north"].is_corrected) == (0, False)
+
+
+def test_clocks_that_agree_within_what_can_be_known_are_left_alone() -> None:
+    what = meetings(300, seed=4)
+    with closing(Store(None)) as store:
+        store.apply(
+            batches(heard(what, gateway="north", jitter_s=0.2, seed=1) + heard(what, gateway="south", ahead_s=0.004, seed=2, jitter_s=0.2))
+        )
+        assert len(encounters_of(store)) == len(what)
+        assert [(clock.is_corrected, clock.n_votes) for clock in store.clocks] == [(False, 0), (False, len(what))]
+
+
+def test_chance_meetings_of_two_gateways_say_nothing_of_their_clocks() -> None:
+    with closing(Store(None)) as store:
+        store.apply(batches(heard(meetings(900, seed=5, n_pairs=9), gateway="north")))
+        store.apply(batches(heard(meetings(900, seed=6, n_pairs=9), gateway="south")))
+        store.delta(after=0)
+        assert offsets_s(store) == {"north": None, "south": None}
+        assert {clock.reference.gateway for clock in store.clocks} == {"north", "south"}
+
+
+def test_a_drift_of_hosts_is_followed_for_days() -> None:
+    what = meetings(2500, seed=7, span_s=2 * 86_400.0)
+    with closing(Store(None)) as store:
+        store.apply(batches(heard(what, gateway="north", margin_ns=S // 10)))
+        store.apply(batches(heard(what, gateway="south", margin_ns=S // 10, ahead_s=-3600, drift=40e-6)))
+        found = encounters_of(store)
+    assert len(found) == len(what)
+    assert max(abs(begin - one.begin_ns) for (begin, *_), one in zip(found, what, strict=True)) <= S // 10
+
+
+def test_gateways_are_aligned_over_others_that_they_share_backpacks_with_and_the_majority_is_right() -> None:
+    what = meetings(900, seed=8)
+    with closing(Store(None)) as store:
+        store.apply(batches(heard(what[:300], gateway="a", ahead_s=500)))
+        store.apply(batches(heard(what[150:], gateway="b")))
+        store.apply(batches(heard(what[400:], gateway="c", ahead_s=0.001)))
+        assert len(encounters_of(store)) == len(what)
+        assert offsets_s(store)["a"] == pytest.approx(-500, abs=0.03)
+        assert {clock.reference.gateway for clock in store.clocks} == {"b"}
+
+
+def test_each_start_of_a_gateway_has_a_clock_of_its_own() -> None:
+    what = meetings(600, seed=9)
+    with closing(Store(None)) as store:
+        store.apply(batches(heard(what, gateway="north")))
+        store.apply(batches(heard(what[:250], gateway="south", ahead_s=-900)))
+        store.apply(batches(heard(what[250:], gateway="south", ahead_s=0.0, first=1000)))
+        assert len(encounters_of(store)) == len(what)
+        offsets = [clock.offset_ns for clock in store.clocks if clock.source.gateway == "south"]
+        assert offsets == [900 * S, 0]
+
+
+@settings(max_examples=12)
+@given(seed=st.integers(0, 50), data=st.data())
+def test_clocks_come_out_alike_whatever_came_first(seed: int, data: st.DataObject) -> None:
+    what = meetings(60, seed=seed, n_pairs=6)
+    records = heard(what, gateway="north", seed=seed, jitter_s=0.1) + heard(
+        what[5:], gateway="south", ahead_s=120, seed=seed + 1, jitter_s=0.1
+    )
+    records += heard(what[:40], gateway="west", ahead_s=-5, seed=seed + 2, jitter_s=0.1)
+    order = data.draw(st.permutations(records))
+    with closing(Store(None)) as at_once, closing(Store(None)) as piecemeal:
+        at_once.apply(batches(records))
+        for first in range(0, len(order), 37):
+            piecemeal.apply(batches(order[first : first + 37]))
+            piecemeal.delta(after=0)
+        assert encounters_of(piecemeal) == encounters_of(at_once)
+        assert piecemeal.clocks == at_once.clocks
+        assert len(encounters_of(at_once)) == len(what)
+
+
+def test_a_reopened_store_says_the_same(tmp_path: Path) -> None:
+    what = meetings(300, seed=10)
+    records = heard(what, gateway="north") + heard(what, gateway="south", ahead_s=60)
+    with closing(Store(tmp_path / "store")) as store:
+        store.apply(batches(records))
+        before, n_before = encounters_of(store), store.n_encounters
+        clocks = store.clocks
+    with closing(Store(tmp_path / "store")) as store:
+        assert (store.n_encounters, store.progress.n_encounters) == (n_before, n_before) == (len(what), len(what))
+        assert (encounters_of(store), store.clocks) == (before, clocks)
+
+
+def test_a_correction_or_a_void_of_either_record_is_followed() -> None:
+    one, other = encounter(1, t_ns=(0, 4 * S), gateway="north"), encounter(1, t_ns=(3 * S, 6 * S), gateway="south")
+    with closing(Store(None)) as store:
+        store.apply(batches([one, other]))
+        assert encounters_of(store) == [(0, 6 * S, 1, 2)]
+        store.apply(batches([msgspec.structs.replace(other, offset=2, revision=1, t_end_ns=Nanoseconds(9 * S))]))
+        assert encounters_of(store) == [(0, 9 * S, 1, 2)]
+        store.apply(batches([msgspec.structs.replace(one, offset=2, revision=1, is_void=True)]))
+        assert encounters_of(store) == [(3 * S, 9 * S, 1, 2)]
+        store.apply(batches([msgspec.structs.replace(one, offset=3, revision=2, t_end_ns=Nanoseconds(2 * S))]))
+        assert encounters_of(store) == [(0, 2 * S, 1, 2), (3 * S, 9 * S, 1, 2)]
+
+
+def test_modes_and_missions_of_a_gateway_are_on_the_sites_clock_too() -> None:
+    what = meetings(100, seed=11)
+    with closing(Store(None)) as store:
+        store.apply(batches(heard(what, gateway="gateway0")))
+        wrong = heard(what, gateway="gateway1", ahead_s=300)
+        anchor = wrong[0].wall_anchor_ns
+        others: list[ModeRecord | MissionRecord] = [
+            mode(900, node=5, t_ns=(7 * S, 9 * S)),
+            mission(901, phase=MissionPhase.EXPLORATION, t_ns=5 * S),
+        ]
+        moved = [msgspec.structs.replace(one, wall_anchor_ns=anchor, journal="journal of gateway1") for one in others]
+        store.apply([*batches(wrong), batch(moved, journal="journal of gateway1")])
+        delta = store.delta(after=0)
+        spells = ModeSpells()
+        for row, change, record in delta.modes:
+            spells.put(row, record, change=change)
+        assert [(spell.t_start_ns - ANCHOR_NS, (spell.t_end_ns or 0) - ANCHOR_NS) for spell in spells.spells()] == [(7 * S, 9 * S)]
+        assert delta.since_ns == ANCHOR_NS + 5 * S
+
+
+def test_with_one_gateway_rows_are_what_came_and_nothing_else() -> None:
+    overlapping = [encounter(n, t_ns=(n * S, (n + 3) * S)) for n in range(1, 30)]
+    with closing(Store(None)) as store:
+        store.apply(batches(overlapping))
+        rows = store.delta(after=0).encounters
+        assert [(begin, end) for begin, end, *_ in encounters_of(store)] == [(n * S, (n + 3) * S) for n in range(1, 30)]
+        assert all(one < other for one, other in pairwise(rows.row.tolist()))
+
+
+def test_a_piece_grows_by_a_record_that_bridges_two() -> None:
+    apart = [Meeting(nodes=(1, 2), begin_ns=begin * S, end_ns=(begin + 2) * S) for begin in (0, 10)]
+    bridge = Meeting(nodes=(1, 2), begin_ns=S, end_ns=11 * S)
+    with closing(Store(None)) as store:
+        store.apply(batches(heard(apart, gateway="north")))
+        assert len(encounters_of(store)) == 2
+        store.apply(batches(heard([bridge], gateway="south")))
+        assert encounters_of(store) == [(0, 12 * S, 1, 2)]
