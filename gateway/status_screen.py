@@ -58,6 +58,7 @@ def _draw_gateway(view: GatewayView, *, now_s: float) -> RenderableType:
     elif status.started_wall_ns:
         title.append(f" up {_span((status.wall_ns - status.started_wall_ns) / NS_PER_S)}")
     parts: list[RenderableType] = [_draw_journal(view, status), _draw_radios(view, status)]
+    parts += _mappers(status)
     parts += [Text(f"! {_plain(fault)}", style="bold red") for fault in status.faults]
     parts += [Text(f"waits: {_plain(one)}", style="yellow", no_wrap=True, overflow="ellipsis") for one in status.missing]
     return Panel(Group(*parts), title=title, title_align="left", border_style="dim" if view.gone_s is None else "red")
@@ -71,6 +72,15 @@ def _draw_journal(view: GatewayView, status: GatewayStatus) -> Text:
         line.append(f", {_bytes(status.disk_free_bytes)} free")
     line.append(f"; biobots {status.n_biobots:,}")
     return line
+
+
+def _mappers(status: GatewayStatus) -> list[Text]:
+    """Say how far each mapper has this gateway's records; what none has told is not known here."""
+    if not status.watermarks:
+        return []
+    lags = {name: max(0, status.head_offset - offset) for name, offset in sorted(status.watermarks.items())}
+    told = [f"{_plain(name)} {f'lacks {lag:,} records' if lag else 'has all'}" for name, lag in lags.items()]
+    return [Text(f"mappers: {', '.join(told)}")]
 
 
 def _draw_radios(view: GatewayView, status: GatewayStatus) -> RenderableType:

@@ -69,7 +69,11 @@ def a_view(*statuses: GatewayStatus, now_s: float = 10.0) -> SiteView:
 
 
 def test_rates_state_reasons_and_faults_are_shown_in_80_columns() -> None:
-    statuses = [a_status(at, head=100 * at, n_messages=50 * at, faults=("the disk is full",), missing=("no router",)) for at in (300, 302)]
+    marks = {"desk": 30_200, "laptop": 29_000}
+    statuses = [
+        a_status(at, head=100 * at, n_messages=50 * at, faults=("the disk is full",), missing=("no router",), watermarks=marks)
+        for at in (300, 302)
+    ]
     text = picture(a_view(*statuses))
 
     assert "base1 up 5 min" in text
@@ -80,6 +84,7 @@ def test_rates_state_reasons_and_faults_are_shown_in_80_columns() -> None:
     assert "Dongle_Plus_0001-if00-port0" not in text
     assert "0001-if00-port0" in text, "the end of a name tells dongles apart"
     assert "there is no such device (3 attempts)" in text.replace("\n", " ")
+    assert "mappers: desk has all, laptop lacks 1,200 records" in text
     assert "! the disk is full" in text
     assert "waits: no router" in text
 
