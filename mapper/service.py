@@ -14,6 +14,7 @@ from pathlib import Path
 
 import uvicorn
 
+from firmware_protocol.errors import ConfigurationError
 from mapper.api.app import create_app
 from mapper.api.event_stream import EventStream
 from mapper.api.services import Engines, Services
@@ -82,7 +83,7 @@ def main(args: argparse.Namespace) -> int:
         if known is None:
             return _crashed(group)
         raise _first(known) from group
-    except MapError:
+    except (MapError, ConfigurationError):
         raise
     except Exception as error:  # noqa: BLE001  # whatever ended the service is one event for those who watch its log
         return _crashed(error)
