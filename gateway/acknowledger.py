@@ -46,6 +46,7 @@ class Acknowledger:
         self._window_of = window_of
         self._health = health
         self._due_ns: dict[NodeId, int] = {}
+        self._marked_ns: dict[NodeId, int] = {}
         self._sent_ns: dict[NodeId, int] = {}
         self._free_ns: dict[str, int] = {}
         """When the pace lets the next acknowledgement go out over each radio."""
@@ -54,7 +55,8 @@ class Acknowledger:
     def mark(self, node: NodeId) -> None:
         """Have a biobot told soon; at most one mark of each biobot waits."""
         if node not in self._due_ns:
-            self._due_ns[node] = max(time.monotonic_ns() + _GATHER_NS, self._sent_ns.get(node, 0) + _MIN_PAUSE_NS)
+            now_ns = self._marked_ns[node] = time.monotonic_ns()
+            self._due_ns[node] = max(now_ns + _GATHER_NS, self._sent_ns.get(node, 0) + _MIN_PAUSE_NS)
             self._wake.set()
 
     async def run(self) -> None:
@@ -83,6 +85,7 @@ class Acknowledger:
         return True
 
     def _tell(self, node: NodeId) -> None:
+        marked_ns = self._marked_ns.pop(node)
         window = self._window_of(node)
         if window is None:
             return
@@ -92,5 +95,6 @@ class Acknowledger:
         except RadioUnavailableError:
             self._health.count("acknowledge.not_sent")  # the backpack repeats, and is told then
             return
-        self._sent_ns[node] = time.monotonic_ns()
+        now_ns = self._sent_ns[node] = time.monotonic_ns()
+        self._health.observe("acknowledge", (now_ns - marked_ns) / NS_PER_S)
         self._health.count("acknowledge.sent")

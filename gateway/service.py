@@ -130,7 +130,9 @@ class Service:
         can_buses = CanBuses()
         load, on_flood = LoopLoad(n_radios=len(ports)), partial(self._on_flood, bus)
         shares = {
-            name: FairShare(radio=name, load=load, max_bytes_per_s=config.link.max_bytes_per_s, health=health, on_flood=on_flood)
+            name: FairShare(
+                radio=name, load=load, max_bytes_per_s=config.link.max_bytes_per_s, health=health.of_radio(name), on_flood=on_flood
+            )
             for name in ports
         }
         coordinators = {
@@ -282,6 +284,7 @@ class Service:
         vitals.head_offset = journal.head_offset
         while True:
             vitals.n_links, vitals.n_biobots, vitals.commit_s = bus.n_links(), len(nodes), journal.commit_s
+            vitals.watermarks = dict(journal.watermarks)
             self._manager.tell(vitals.headline())
             bus.publish_gateway_status(
                 GatewayStatus(
@@ -293,7 +296,7 @@ class Service:
                     radios=self._health.radios(),
                     counters=self._health.counters(),
                     oldest_offset=journal.oldest_offset,
-                    watermarks=dict(journal.watermarks),
+                    watermarks=vitals.watermarks,
                     radio_reports=vitals.radio_reports(),
                     started_wall_ns=Nanoseconds(vitals.started_wall_ns),
                     n_biobots=vitals.n_biobots,

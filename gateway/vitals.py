@@ -69,6 +69,8 @@ class Vitals:
         self.journal_fault: str | None = None
         self.commit_s = 0.0
         """How long the journal's commit under way has taken [s]."""
+        self.watermarks: dict[str, int] = {}
+        """Mapper's name to the offset up to which it has everything."""
         self.n_links: int | None = None
         """Zenoh sessions that are connected, or None: the bus is not open."""
         self.is_stopping = False

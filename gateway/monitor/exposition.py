@@ -123,6 +123,10 @@ def _state(vitals: Vitals) -> Iterator[Metric]:
     for name, about, value in gauges:
         if value is not None:
             yield GaugeMetricFamily(_PREFIX + name, about, value=value)
+    lag = GaugeMetricFamily(f"{_PREFIX}mapper_lag_records", "Records that a mapper has not said to have on its disk.", labels=["mapper"])
+    for mapper, offset in sorted(vitals.watermarks.items()):
+        lag.add_metric([mapper], max(0, (vitals.head_offset or 0) - offset))
+    yield lag
     levels = vitals.health.levels()
     queues = GaugeMetricFamily(f"{_PREFIX}queue_length", "How much waits, or is kept in memory.", labels=["queue"])
     others = GaugeMetricFamily(f"{_PREFIX}level", "All else that goes up and down, by its name.", labels=["name"])

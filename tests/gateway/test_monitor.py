@@ -13,16 +13,20 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import msgspec
 import pytest
+import zenoh
 from prometheus_client.parser import text_string_to_metric_families
 
 from firmware_protocol.contract.records import EncounterRecord
 from firmware_protocol.units import BootId, Nanoseconds, NodeId
+from gateway.config import MonitorTable
 from gateway.errors import MonitorError
 from gateway.health import DURATION_BOUNDS_S, Health, RadioState
 from gateway.monitor.server import Monitor
 from gateway.vitals import DiskUse, Vitals
-from tests.gateway.harness import free_port
+from tests.gateway.fake_radio import a_dongle, on_pty, until
+from tests.gateway.harness import a_config, free_port, running
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,6 +56,16 @@ def an_encounter(revision: int, *, error_ns: int) -> EncounterRecord:
     )
 
 
+def get(port: int, path: str, method: str = "GET") -> tuple[int, str]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    try:
+        connection.request(method, path)
+        answer = connection.getresponse()
+        return answer.status, answer.read().decode()
+    finally:
+        connection.close()
+
+
 class Desk:
     """A monitor that answers, and the vitals behind it."""
 
@@ -62,13 +76,9 @@ class Desk:
         self.monitor = Monitor.start(host="127.0.0.1", port=0, vitals=self.vitals)
 
     def ask(self, path: str, method: str = "GET") -> tuple[int, str]:
-        connection = http.client.HTTPConnection(urlsplit(self.monitor.url).netloc, timeout=10)
-        try:
-            connection.request(method, path)
-            answer = connection.getresponse()
-            return answer.status, answer.read().decode()
-        finally:
-            connection.close()
+        port = urlsplit(self.monitor.url).port
+        assert port is not None
+        return get(port, path, method)
 
     def told(self, path: str, key: str) -> tuple[int, list[str]]:
         status, text = self.ask(path)
@@ -138,6 +148,7 @@ def test_numbers_have_proper_names_and_are_those_that_were_counted(desk: Desk) -
     for duration_s in (0.0005, 0.001, 0.3, 11.0):
         desk.health.observe("journal.commit", duration_s)
     desk.vitals.disk = DiskUse(journal_bytes=10, free_bytes=20)
+    desk.vitals.watermarks = {"desk": 4}
     desk.vitals.take_records([an_encounter(0, error_ns=5_000_000), an_encounter(1, error_ns=20_000_000)], 9)
 
     found = desk.samples()
@@ -153,6 +164,7 @@ def test_numbers_have_proper_names_and_are_those_that_were_counted(desk: Desk) -
     assert found["biobot_gateway_queue_length", (("queue", "encounters_in_memory"),)] == 5
     assert (found["biobot_gateway_journal_bytes", ()], found["biobot_gateway_disk_free_bytes", ()]) == (10, 20)
     assert found["biobot_gateway_journal_head_offset", ()] == 9
+    assert found["biobot_gateway_mapper_lag_records", (("mapper", "desk"),)] == 5
     assert found["biobot_gateway_journal_commit_seconds_bucket", (("le", "0.001"),)] == 2
     assert found["biobot_gateway_journal_commit_seconds_bucket", (("le", "0.5"),)] == 3
     assert found["biobot_gateway_journal_commit_seconds_bucket", (("le", "+Inf"),)] == 4
@@ -222,6 +234,35 @@ def test_a_radios_since_is_when_its_state_began() -> None:
     assert health.radio_conditions()["a"].reason == ""
 
 
+def test_it_becomes_ready_by_itself_when_dongle_and_router_come(tmp_path: Path) -> None:
+    async def story() -> None:
+        port, router = free_port(), f"tcp/127.0.0.1:{free_port()}"
+        config = msgspec.structs.replace(
+            a_config(tmp_path, f"serial:{tmp_path / 'dongle'}"), connect=(router,), monitor=MonitorTable(listen=f"127.0.0.1:{port}")
+        )
+        dongle = a_dongle(1, 2)
+        async with running(config) as service:
+            await until(lambda: len(service._vitals.missing()) == 2, what="it says that both are missing")
+            settings = zenoh.Config()
+            for key, value in {"mode": '"router"', "scouting/multicast/enabled": "false", "listen/endpoints": json.dumps([router])}.items():
+                settings.insert_json5(key, value)
+            with zenoh.open(settings):
+                async with on_pty(dongle, tmp_path / "dongle"):
+                    await until(lambda: not service._vitals.missing(), what="both were picked up")
+                    dongle.backpacks[NodeId(1)].say_encounter(NodeId(2), ago_ms=5000, duration_ms=1000)
+                    await until(lambda: dongle.backpacks[NodeId(1)].is_level, what="the report is acknowledged")
+                    ready, _ = await asyncio.to_thread(get, port, "/readyz")
+                    _, text = await asyncio.to_thread(get, port, "/metrics")
+        assert ready == 200
+        found = {one.name: one.value for family in text_string_to_metric_families(text) for one in family.samples}
+        assert found["biobot_gateway_encounters_total"] == 1
+        assert found["biobot_gateway_acknowledgement_seconds_count"] >= 1
+        assert found["biobot_gateway_journal_commit_seconds_count"] >= 1
+        assert found["biobot_gateway_bus_links"] == 1
+
+    asyncio.run(story())
+
+
 @pytest.mark.e2e
 def test_a_gateway_without_router_and_dongle_runs_says_so_to_all_and_stops(tmp_path: Path) -> None:
     """READY=1, STATUS= and signs of life go to a real datagram socket."""
@@ -236,14 +277,10 @@ def test_a_gateway_without_router_and_dongle_runs_says_so_to_all_and_stops(tmp_p
             heard: list[str] = []
             while not {"READY=1", "WATCHDOG=1"} <= set(heard) or not any("0 of 1 radios up" in one for one in heard):
                 heard.append(manager.recv(4096).decode())
-            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-            connection.request("GET", "/readyz")
-            answer = connection.getresponse()
-            document = json.loads(answer.read())
-            connection.close()
+            status, text = get(port, "/readyz")
             gateway.send_signal(signal.SIGTERM)
             assert gateway.wait(timeout=20) == 0
             while heard[-1] != "STOPPING=1":
                 heard.append(manager.recv(4096).decode())
-    assert answer.status == 503
-    assert [one.split(":")[0] for one in document["missing"]] == ["nobody is connected on the bus", "no radio is up"]
+    assert status == 503
+    assert [one.split(":")[0] for one in json.loads(text)["missing"]] == ["nobody is connected on the bus", "no radio is up"]
