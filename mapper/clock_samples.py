@@ -69,7 +69,8 @@ class SourceSample:
     @property
     def rows(self) -> IntArray:
         """The rows, ascending, each once."""
-        return np.unique(np.array(self._rows, dtype=np.int64))
+        rows = np.sort(np.array(self._rows, dtype=np.int64))
+        return rows[np.append(True, rows[1:] != rows[:-1])] if len(rows) else rows
 
     def thin(self, rows: IntArray, facts: SampledRows, *, source: int) -> tuple[IntArray, SampledRows]:
         """Drop what left the source, and what is too much; return what is left."""

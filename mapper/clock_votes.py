@@ -24,6 +24,8 @@ _MAX_CANDIDATES: Final = 400_000
 _SHORTEST_BLOCK_NS: Final = 1_800_000_000_000
 _MAX_BLOCKS: Final = 64
 _MAX_BLOCK_VOTES: Final = 4_096
+_EDGE_KNOTS: Final = 8
+"""The drift beyond the first and the last knot is that over so many knots: over a few hours the noise of a knot makes no slope."""
 FLOOR_NS: Final = 10_000_000
 """No difference is known better: gateways take the fastest uplink to need up to 10 ms (`gateway.clocks`), and each may be wrong alone."""
 # Three standard errors of a median: sigma is 1.4826 times the median deviation, and that of the median 1.2533 sigma / sqrt(n).
@@ -60,14 +62,15 @@ class ClockDifference:
     n_votes: int
 
     def at(self, t_ns: IntArray) -> IntArray:
-        """Return the offset at instants of the one clock [ns]; beyond the knots the last slope goes on."""
+        """Return the offset at instants of the one clock [ns]; beyond the knots it drifts on as it did, where it surely did."""
         base = int(self.t_ns[0])
         x, y = self.t_ns - base, self.offset_ns - int(self.offset_ns[0])
         wanted = t_ns - base
         offset = np.interp(wanted, x, y)
-        if len(x) > 1:
-            for edge, inner, beyond in ((0, 1, wanted < x[0]), (-1, -2, wanted > x[-1])):
-                slope = float(np.clip((y[edge] - y[inner]) / (x[edge] - x[inner]), -_MAX_DRIFT, _MAX_DRIFT))
+        inner = min(len(x) - 1, _EDGE_KNOTS)
+        for edge, far, beyond in ((0, inner, wanted < x[0]), (-1, -1 - inner, wanted > x[-1])):
+            if abs(int(y[edge] - y[far])) > self.bound_ns:
+                slope = float(np.clip((y[edge] - y[far]) / (x[edge] - x[far]), -_MAX_DRIFT, _MAX_DRIFT))
                 offset = np.where(beyond, y[edge] + slope * (wanted - x[edge]), offset)
         return np.rint(offset).astype(np.int64) + int(self.offset_ns[0])
 

@@ -13,13 +13,19 @@ MAX_OFFSET_NS: Final = 2_000_000_000
 
 
 def newest_clocks(clocks: Iterable[SourceClock]) -> dict[str, SourceClock]:
-    """Choose the clock of each gateway's newest start: of those with the highest boot, the highest anchor."""
+    """Choose the clock of each gateway's newest start: that of which records came to the store last."""
     newest: dict[str, SourceClock] = {}
     for clock in clocks:
         known = newest.get(clock.source.gateway)
         if known is None or (clock.last_row, clock.source) > (known.last_row, known.source):
             newest[clock.source.gateway] = clock
     return newest
+
+
+def clock_shifts(clocks: Iterable[SourceClock]) -> dict[str, int]:
+    """Return what is to be added to the clocks of the gateways that run with a wrong one now [ns]."""
+    newest = newest_clocks(clocks)
+    return {gateway: clock.offset_ns for gateway, clock in newest.items() if clock.is_corrected and clock.offset_ns is not None}
 
 
 class ClockWatch:

@@ -8,7 +8,7 @@ from math import ceil
 from typing import Final
 
 from mapper.changes import Changes, Topic
-from mapper.clock_watch import ClockWatch
+from mapper.clock_watch import ClockWatch, clock_shifts
 from mapper.errors import JobError, MapError, NoMapYetError, StoreError, WorkerDiedError
 from mapper.fleet import Fleet
 from mapper.log import EventLog
@@ -186,7 +186,7 @@ class CurrentMap:
 
     async def restore(self) -> None:
         """Serve the map that was kept before the last end, if this recipe and program made it and it can be read."""
-        self._clock_watch.look(self._records.clocks)
+        self._look_at_clocks()
         try:
             kept = await self._records.call(Store.kept_map, made_by=self._made_by)
         except StoreError as error:
@@ -262,12 +262,16 @@ class CurrentMap:
     async def _compute(self, *, after: int) -> tuple[MapDocuments | TooFew | OutOfStep, int]:
         delta, n_encounters_of = await self._records.call(lambda store: (store.delta(after=after), store.count_by_node()))
         self._fleet.set_encounter_counts(n_encounters_of)
-        self._clock_watch.look(self._records.clocks)
+        self._look_at_clocks()
         # Whatever ends this job early ends the worker's copy with it, or leaves it in doubt: the next one gets everything.
         self._n_sent = 0
         outcome = await self.worker.run(make_map, delta, self._recipe, window_ns=self._window_ns, now_ns=self._clock())
         self._n_sent = delta.change
         return outcome, delta.change
+
+    def _look_at_clocks(self) -> None:
+        self._clock_watch.look(self._records.clocks)
+        self._fleet.set_clock_shifts(clock_shifts(self._records.clocks))
 
     def _publish(self, documents: MapDocuments, *, change: int, begun_wall_ns: int, computing_s: float) -> None:
         finished = FinishedMap(

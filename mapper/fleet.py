@@ -70,6 +70,7 @@ class Fleet:
     _modes: dict[NodeId, ModeRecord] = field(default_factory=dict)
     _neighbours: dict[NodeId, NeighbourReport] = field(default_factory=dict)
     _n_encounters: Mapping[NodeId, int] = field(default_factory=dict)
+    _shifts_ns: Mapping[str, int] = field(default_factory=dict)
 
     def take_gateway_status(self, status: GatewayStatus, *, now_ns: int) -> None:
         """Note that a gateway spoke; ``now_ns`` is monotonic."""
@@ -87,7 +88,7 @@ class Fleet:
     def take_node_status(self, status: NodeStatus) -> None:
         """Note a biobot's state, unless a newer one is known."""
         known = self._nodes.get(status.node)
-        if known is None or status.last_heard_wall_ns >= known.last_heard_wall_ns:
+        if known is None or self._heard_ns(status) >= self._heard_ns(known):
             self._put(self._nodes, status.node, status)
 
     def take_neighbours(self, report: NeighbourReport) -> None:
@@ -98,12 +99,16 @@ class Fleet:
         """Learn of biobots from records: after a restart they are known before they speak again."""
         for record in records:
             known = self._modes.get(record.node)
-            if known is None or _began(record) >= _began(known):
+            if known is None or self._began_ns(record) >= self._began_ns(known):
                 self._put(self._modes, record.node, record)
 
     def set_encounter_counts(self, n_encounters_of: Mapping[NodeId, int]) -> None:
         """Set how many encounters each biobot has."""
         self._n_encounters = n_encounters_of
+
+    def set_clock_shifts(self, shifts_ns: Mapping[str, int]) -> None:
+        """Set what is to be added to the wall clocks of gateways that are wrong [ns]: a biobot belongs to the one that heard it last."""
+        self._shifts_ns = shifts_ns
 
     def gateway_of(self, node: NodeId) -> str | None:
         """Name the gateway that heard a biobot last; None for an unknown one."""
@@ -147,13 +152,19 @@ class Fleet:
             battery_mv=status.battery_mv,
             rssi_dbm=None if status.rssi_dbm == RSSI_UNKNOWN else status.rssi_dbm,
             lqi=status.lqi,
-            last_heard_wall_ns=status.last_heard_wall_ns,
+            last_heard_wall_ns=self._heard_ns(status),
             buffered=status.buffered,
             dropped=status.dropped,
             firmware=status.firmware,
             n_neighbours=n_neighbours,
             n_encounters=self._n_encounters.get(node, 0),
         )
+
+    def _heard_ns(self, status: NodeStatus) -> int:
+        return status.last_heard_wall_ns + self._shifts_ns.get(status.gateway, 0)
+
+    def _began_ns(self, record: ModeRecord) -> int:
+        return record.t_start_ns + record.wall_anchor_ns + self._shifts_ns.get(record.gateway, 0)
 
     def _gateway(self, name: str) -> _Gateway | None:
         if name not in self._gateways and len(self._gateways) >= _MAX_GATEWAYS:
@@ -170,7 +181,3 @@ class Fleet:
 
 def _is_alive(gateway: _Gateway, now_ns: int) -> bool:
     return gateway.has_token and gateway.heard_ns is not None and now_ns - gateway.heard_ns < _SILENT_AFTER_NS
-
-
-def _began(record: ModeRecord) -> int:
-    return record.t_start_ns + record.wall_anchor_ns

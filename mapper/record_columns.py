@@ -104,16 +104,19 @@ def make_rows(rows: Sequence[int], records: Sequence[EncounterRecord]) -> Encoun
     )
 
 
-def margin_of(*, margin_ns: int, error_ns: int) -> int:
-    """Return how far a record covers the time around its interval [ns]; gateways of earlier versions do not tell, and it is their error."""
-    return max(0, min(_MAX_MARGIN_NS, max(margin_ns, min(error_ns, _MAX_ERROR_MARGIN_NS))))
+def limit_margins(*, margin_ns: Sequence[int], error_ns: Sequence[int]) -> IntArray:
+    """Return how far records cover the time around their intervals [ns], shape (m,); where a gateway does not tell (0), their error."""
+    # Numbers of any size may come in a record; as floats they are in order, and within the limits exact.
+    told, errors = (np.array(values, dtype=np.float64) for values in (margin_ns, error_ns))
+    limited: IntArray = np.clip(np.maximum(told, np.minimum(errors, _MAX_ERROR_MARGIN_NS)), 0, _MAX_MARGIN_NS).astype(np.int64)
+    return limited
 
 
 def make_origins(records: Sequence[EncounterRecord], *, number_source: Callable[[str, int], int]) -> EncounterOrigins:
     """Say where records come from; ``number_source`` gives the number of a gateway's start by name and anchor."""
     return EncounterOrigins(
         source=np.array([number_source(record.gateway, record.wall_anchor_ns) for record in records], dtype=np.int64),
-        margin_ns=np.array([margin_of(margin_ns=record.margin_ns, error_ns=record.error_ns) for record in records], dtype=np.int64),
+        margin_ns=limit_margins(margin_ns=[record.margin_ns for record in records], error_ns=[record.error_ns for record in records]),
         is_final=np.array([not record.is_ongoing for record in records], dtype=np.bool_),
     )
 

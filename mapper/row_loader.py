@@ -10,7 +10,7 @@ import numpy as np
 
 from firmware_protocol.errors import RecordError
 from mapper.log import EventLog
-from mapper.record_columns import EncounterOrigins, EncounterRows, is_fit_for_columns, margin_of
+from mapper.record_columns import EncounterOrigins, EncounterRows, is_fit_for_columns, limit_margins
 from mapper.types import IntArray
 
 _log = EventLog(__name__)
@@ -46,11 +46,12 @@ class LoadedEncounters:
 
     def origins(self, *, number_source: Callable[[str, int], int]) -> EncounterOrigins:
         """Say where they come from; ``number_source`` gives the number of a gateway's start by its name and anchor [ns]."""
-        sources = [number_source(gateway, record.wall_anchor_ns) for gateway, record in zip(self._gateways, self._records, strict=True)]
-        margins = [margin_of(margin_ns=record.margin_ns, error_ns=record.error_ns) for record in self._records]
+        starts = list(zip(self._gateways, [record.wall_anchor_ns for record in self._records], strict=True))
+        numbers = {start: number_source(*start) for start in dict.fromkeys(starts)}
+        margin_ns, error_ns = ([getattr(record, name) for record in self._records] for name in ("margin_ns", "error_ns"))
         return EncounterOrigins(
-            source=np.array(sources, dtype=np.int64),
-            margin_ns=np.array(margins, dtype=np.int64),
+            source=np.array([numbers[start] for start in starts], dtype=np.int64),
+            margin_ns=limit_margins(margin_ns=margin_ns, error_ns=error_ns),
             is_final=~np.array([record.is_ongoing for record in self._records], dtype=np.bool_),
         )
 
