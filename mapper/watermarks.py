@@ -17,16 +17,17 @@ _PERIOD_S: Final = 3.0
 class Watermarks:
     """Publishes what the store has; ``run`` is its task. A store in memory has nothing: it tells nobody."""
 
-    def __init__(self, *, bus: Bus, records: StoreThread, name: str) -> None:
+    def __init__(self, *, bus: Bus, records: StoreThread, name: str, period_s: float = _PERIOD_S) -> None:
         self._bus = bus
         self._records = records
         self._name = name
+        self._period_s = period_s
 
     async def run(self) -> None:
         """Tell every few seconds, until cancelled."""
         is_faulty = False
         while True:
-            await asyncio.sleep(_PERIOD_S)
+            await asyncio.sleep(self._period_s)
             try:
                 marks = await self._records.call(Store.durable_watermarks)
             except StoreError as error:
