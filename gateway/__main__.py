@@ -7,7 +7,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError, ProtocolError
-from gateway.commands import asking, check_radio, config, configure, lines, pcap, ports, run, status
+from gateway.commands import asking, check_radio, config, configure, journal, lines, pcap, ports, run, status
 from gateway.commands.outcome import FAILED, USAGE, complain
 from gateway.errors import GatewayError, TransportSpecError
 
@@ -19,6 +19,7 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "list-ports": ("list the serial ports of this machine, those with a by-id link first", ports.add_list_arguments, ports.list_ports),
     "probe": ("tell which dialect, firmware and network answers at a port", ports.add_probe_arguments, ports.probe),
     "check-radio": ("check a radio, capability by capability", check_radio.add_arguments, check_radio.check),
+    "journal": ("check a journal, tell what is in it, or export it as CSV or Parquet", journal.add_arguments, journal.journal),
     "command": ("command a biobot through a running gateway", asking.add_command_arguments, asking.command),
     "status": (
         "how the gateways of a site stand, live on a terminal; exit status 1 where none is heard",

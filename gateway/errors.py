@@ -101,6 +101,15 @@ class JournalFullError(JournalError):
         self.limit = limit
 
 
+class ExportError(JournalError):
+    """A journal cannot be exported as asked."""
+
+    def __init__(self, *, path: str, reason: str) -> None:
+        super().__init__(f"{path}: {reason}")
+        self.path = path
+        self.reason = reason
+
+
 class RecordingError(GatewayError):
     """A recording, or what is made of one, cannot be read or written."""
 

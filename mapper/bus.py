@@ -25,6 +25,7 @@ from firmware_protocol.contract.records import (
     NodeStatus,
     RecordBatch,
     StimulationRequest,
+    Watermark,
     decode_record,
     encode_record,
 )
@@ -134,6 +135,13 @@ class Bus:
                 if batch.gateway == gateway:
                     batches.append(batch)
         return batches
+
+    async def publish_watermark(self, *, gateway: str, journal: str, mapper: str, offset: int) -> None:
+        """Tell a gateway how far a mapper has its records; one that is not there hears it the next time."""
+        key = build_key(site=self._site, stream=Stream.WATERMARK, gateway=gateway, mapper=mapper)
+        payload = encode_record(Watermark(mapper=mapper, journal=journal, offset=offset))
+        with suppress(zenoh.ZError):
+            await asyncio.to_thread(self._session.put, key, payload)
 
     async def send_command(self, request: StimulationRequest, *, gateway: str, timeout_s: float) -> AsyncGenerator[CommandStage, None]:
         """Send a command and yield the stages that its gateway reports; none at all means that it is not there.

@@ -115,6 +115,8 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     Keys
     ----
+    name
+        What gateways know the mapper by, which keep what it does not have yet; without it, a random one that stays with the store.
     site
         The first name in the keys of the bus.
     connect, listen
@@ -133,6 +135,7 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         DEBUG, INFO, WARNING or ERROR.
     """
 
+    name: str | None = None
     site: str = "local"
     connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
     listen: tuple[str, ...] = ()
@@ -150,6 +153,8 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise ValueError(f"window_s is {self.window_s}, but must be a finite number of seconds; leave it out to map all encounters")
         try:
             check_name(self.site, what="site")
+            if self.name is not None:
+                check_name(self.name, what="mapper")
         except KeyExpressionError as error:
             raise ValueError(str(error)) from error
 

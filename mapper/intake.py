@@ -35,22 +35,26 @@ _ASKED_BEFORE_GIVING_UP: Final = 3
 
 @dataclass(slots=True)
 class _Journal:
-    """The journal that a gateway writes now, and the newest offset it has told of."""
+    """The journal that a gateway writes now, the newest offset it has told of, and the oldest that it still has."""
 
     name: str
     head_offset: int
+    oldest_offset: int
 
 
 class Intake:
     """Keeps store and fleet in step with the bus.
 
     ``counters``: records ``new``, ``revised``, ``repeated``, ``unfit``; ``repaired`` ones that history brought;
-    ``given_up`` offsets that a gateway does not have itself; ``store_faults`` writes that failed (history repeats them).
+    ``given_up`` offsets that a gateway does not have itself; ``expired`` ones that it has dropped of age or for want of room before
+    they were here; ``store_faults`` writes that failed (history repeats them).
     """
 
     def __init__(self, *, bus: Bus, records: StoreThread, fleet: Fleet, changes: Changes) -> None:
         self.counters: Counter[str] = Counter()
         self.store_fault: str | None = None
+        self.expiries: dict[str, str] = {}
+        """Gateways' names to what was lost of their journals, of which this store had a part already."""
         self._bus = bus
         self._records = records
         self._fleet = fleet
@@ -75,9 +79,9 @@ class Intake:
             match arrival:
                 case RecordBatch():
                     batches.append(arrival)
-                    self._note_head(arrival.gateway, arrival.journal, arrival.head_offset)
+                    self._note_head(arrival)
                 case GatewayStatus():
-                    self._note_head(arrival.gateway, arrival.journal, arrival.head_offset)
+                    self._note_head(arrival)
                     self._fleet.take_gateway_status(arrival, now_ns=time.monotonic_ns())
                     has_news = True
                 case NodeStatus():
@@ -125,15 +129,15 @@ class Intake:
         if MissionRecord in kinds:
             self._changes.bump(Topic.MISSION)
 
-    def _note_head(self, gateway: str, journal: str, head_offset: int) -> None:
-        known = self._journals.get(gateway)
-        if known is None:
-            self._journals[gateway] = _Journal(name=journal, head_offset=head_offset)
-        elif known.name != journal:
-            _log.info("journal.new", gateway=gateway, before=known.name, now=journal)
-            known.name, known.head_offset = journal, head_offset
-        else:
-            known.head_offset = max(known.head_offset, head_offset)
+    def _note_head(self, told: RecordBatch | GatewayStatus) -> None:
+        known = self._journals.get(told.gateway)
+        if known is not None and known.name == told.journal:
+            known.head_offset = max(known.head_offset, told.head_offset)
+            known.oldest_offset = max(known.oldest_offset, told.oldest_offset)
+            return
+        if known is not None:
+            _log.info("journal.new", gateway=told.gateway, before=known.name, now=told.journal)
+        self._journals[told.gateway] = _Journal(name=told.journal, head_offset=told.head_offset, oldest_offset=told.oldest_offset)
 
     async def _hole(self, gateway: str) -> tuple[int, int] | None:
         journal = self._journals[gateway]
@@ -154,13 +158,34 @@ class Intake:
                 continue
             backoff_s = await self._repair(gateway)
 
+    async def _expire(self, gateway: str) -> tuple[int, int] | None:
+        """Count what is missing and no longer in the gateway's journal as expired; return what is missing then."""
+        journal = self._journals[gateway]
+        name, oldest = journal.name, journal.oldest_offset
+        while (hole := await self._hole(gateway)) is not None and hole[0] < oldest and self.store_fault is None:
+            first, last = hole[0], min(hole[1], oldest - 1)
+            n_before = await self._records.call(Store.watermark, gateway=gateway, journal=name)
+            try:
+                await self._records.call(Store.give_up, gateway=gateway, journal=name, first=first, last=last)
+            except StoreError as error:
+                _log.warning("history.expired_unsaved", gateway=gateway, reason=str(error))
+                break
+            self.counters["expired"] += last - first + 1
+            _log.error("history.expired", gateway=gateway, journal=name, first=first, last=last)
+            if n_before:  # a store that is new to a journal has missed its beginning, and knows it
+                self.expiries[gateway] = (
+                    f"records {first} to {last} of gateway {gateway} left its journal before they were here; "
+                    "give its [retention] more days or more room"
+                )
+        return hole
+
     async def _repair(self, gateway: str) -> float:
         """Ask for history until nothing is missing, or nothing comes; return how long to wait then."""
         journal = self._journals[gateway].name
         n_asked_in_vain = 0
         wait_s = 1.0
         n_before = self.counters["repaired"]
-        while (hole := await self._hole(gateway)) and self._journals[gateway].name == journal:
+        while (hole := await self._expire(gateway)) and self._journals[gateway].name == journal:
             try:
                 # One more than what is missing: if that comes and the missing do not, the gateway does not have them.
                 batches = await self._bus.fetch_history(gateway, from_offset=hole[0], limit=min(_PAGE, hole[1] - hole[0] + 2))
@@ -168,6 +193,8 @@ class Intake:
                 _log.warning("history.fault", gateway=gateway, reason=str(error))
                 batches = []
             batches = [batch for batch in batches if batch.journal == journal]
+            for batch in batches:
+                self._note_head(batch)
             applied = await self._apply(batches)
             self.counters["repaired"] += applied.n_new + applied.n_revised
             if await self._hole(gateway) != hole:

@@ -32,6 +32,7 @@ from mapper.rips_engines import name_engine
 from mapper.service_manager import ServiceManager
 from mapper.store_thread import StoreThread
 from mapper.types import Method, MetricKind
+from mapper.watermarks import Watermarks
 
 _log = EventLog(__name__)
 
@@ -118,6 +119,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
         stack.push_async_callback(bus.aclose)
         changes, fleet = Changes(), Fleet()
         intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes)
+        watermarks = Watermarks(bus=bus, records=records, name=serve.name or records.name or "mapper")
         desk = CommandDesk(bus=bus, fleet=fleet, changes=changes)
         current_map = CurrentMap(
             records=records,
@@ -133,7 +135,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
             return {**intake.counters, **{f"bus_{name}": number for name, number in bus.counters.items()}, "ignored": fleet.n_ignored}
 
         def faults() -> list[str]:
-            found = [*([] if intake.store_fault is None else [intake.store_fault]), *current_map.faults]
+            found = [*([] if intake.store_fault is None else [intake.store_fault]), *intake.expiries.values(), *current_map.faults]
             return list(dict.fromkeys(found))
 
         services = Services(
@@ -151,7 +153,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
         server = _Server(_server_config(services, stream, serve))
         stack.enter_context(_signals_set(stopping))
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(part.run(), name=type(part).__name__) for part in (intake, desk, current_map)]
+            tasks = [group.create_task(part.run(), name=type(part).__name__) for part in (intake, desk, current_map, watermarks)]
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
             group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")
             tasks.append(group.create_task(manager.watch(), name="watchdog"))

@@ -35,7 +35,7 @@ from mapper.record_rows import RecordRows
 from mapper.replica import StoreDelta
 from mapper.row_loader import load_encounters
 from mapper.site_view import SiteView
-from mapper.store_file import open_store_file, store_name, translate
+from mapper.store_file import open_store_file, random_name, store_name, translate
 
 _MAX_INTEGER = 2**63 - 1
 
@@ -115,6 +115,7 @@ class Store:
         self._progress = StoreProgress(n_encounters=0, change=0)
         self._db = open_store_file(path)
         try:
+            self._name = None if path is None else random_name(self._db)
             self._load()
         except (sqlite3.Error, RecordError, StoreError) as error:
             self._db.close()
@@ -173,6 +174,29 @@ class Store:
         """Return the highest offset of a journal up to which nothing is missing, 0 where nothing has come."""
         source = self._sources.get((gateway, journal))
         return source.offsets.watermark if source else 0
+
+    @property
+    def name(self) -> str | None:
+        """The random name of its file; None where it is in memory."""
+        return self._name
+
+    def durable_watermarks(self) -> dict[tuple[str, str], int]:
+        """Return the watermark of each gateway's journal as a power cut would leave it; nothing where the store is in memory.
+
+        Raises
+        ------
+        StoreError
+            The disk does not take it.
+        """
+        if self._name is None:
+            return {}
+        marks = {key: source.offsets.watermark for key, source in self._sources.items()}
+        try:
+            # Syncs the log before it copies it: what was committed until now is on the disk, whatever ``synchronous`` says.
+            is_busy, n_frames, n_copied = self._db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+        except sqlite3.Error as error:
+            raise translate(error, path=self._path) from error
+        return marks if not is_busy and n_frames == n_copied else {}
 
     def first_hole(self, *, gateway: str, journal: str, head_offset: int) -> tuple[int, int] | None:
         """Name the first run of offsets that a journal has (up to ``head_offset`` at least) and this store lacks."""

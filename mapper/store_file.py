@@ -1,5 +1,6 @@
 """The file of the store: whose it is, its schema, and how an older one becomes a newer one."""
 
+import secrets
 import sqlite3
 from pathlib import Path
 from typing import Final
@@ -84,6 +85,14 @@ def open_store_file(path: Path | None) -> sqlite3.Connection:
 def store_name(path: Path | None) -> str:
     """Name a store for people."""
     return "the store in memory" if path is None else str(path)
+
+
+def random_name(database: sqlite3.Connection) -> str:
+    """Return the name that a file was given when it was first opened: gateways know it by this, whatever the file is called."""
+    # A table that other versions leave alone: no step of the schema.
+    database.execute("CREATE TABLE IF NOT EXISTS own_name (id INTEGER PRIMARY KEY CHECK (id = 1), name TEXT NOT NULL)")
+    database.execute("INSERT OR IGNORE INTO own_name VALUES (1, ?)", (f"mapper-{secrets.token_hex(4)}",))
+    return str(database.execute("SELECT name FROM own_name").fetchone()[0])
 
 
 def translate(error: sqlite3.Error | RecordError | StoreError, *, path: str) -> StoreError:

@@ -40,6 +40,11 @@ class StoreThread:
         return cls(store, executor)
 
     @property
+    def name(self) -> str | None:
+        """See `Store.name`."""
+        return self._store.name
+
+    @property
     def progress(self) -> StoreProgress:
         """How far the store has come; no waiting."""
         return self._store.progress

@@ -96,7 +96,9 @@ class JournalFile:
         self._lock.close()
 
 
-def open_journal_file(path: Path, *, now_wall_ns: int, now_ns: int, machine_boot: str) -> JournalFile:
+def open_journal_file(
+    path: Path, *, now_wall_ns: int, now_ns: int, machine_boot: str, wall_clock: Callable[[], int] = time.time_ns
+) -> JournalFile:
     """Open the journal, or make it where there is none, and begin a new boot. One of an earlier version is brought over first.
 
     ``machine_boot`` names what the monotonic clock counts from; it is empty where that is not known.
@@ -119,7 +121,7 @@ def open_journal_file(path: Path, *, now_wall_ns: int, now_ns: int, machine_boot
             set_durable(connection)
             _forget_old_lives(connection)
             identity = _begin_boot(connection, now_wall_ns=now_wall_ns, now_ns=now_ns, machine_boot=machine_boot)
-            return JournalFile(connection=connection, lock=lock, identity=identity)
+            return JournalFile(connection=connection, lock=lock, identity=identity, wall_clock=wall_clock)
         except BaseException:
             connection.close()
             raise

@@ -4,16 +4,17 @@ The oldest segments go first, and whole. What is younger than ``keep_ns`` stays 
 have yet outlives its age, and goes only where the size demands it; that is told.
 """
 
+import itertools
 import sqlite3
 from dataclasses import dataclass
 
 from gateway.journal_file.blobs import decompress
 from gateway.journal_file.segments import RECORDS_COMPRESSED, REPORTS_COMPRESSED, join_contents
 
-SMALL = 512
-"""Records and reports of a segment that is worth merging."""
+_SMALL = (512, 2560)
+"""Records and reports of a segment of level 0, and of level 1, that is worth merging."""
 
-MERGED_TOGETHER = (64, 16)
+_MERGED_TOGETHER = (64, 16)
 """Neighbours of level 0, and of level 1, that become one: from a few records each to some thousand."""
 
 _MERGE_SPAN = 256
@@ -21,7 +22,7 @@ _MERGE_SPAN = 256
 
 _DROPPED_TOGETHER = 32
 _SPARE_SHARE = 0.05
-_SPARE_PAGES = 4096
+_SPARE_PAGES = 1024
 _PAGES_A_STEP = 256
 
 
@@ -50,20 +51,15 @@ class Upkeep:
 
 
 def merge_neighbours(connection: sqlite3.Connection) -> bool:
-    """Merge the newest run of small neighbours, if there are enough; return whether there were."""
+    """Merge a run of small neighbours among the newest segments, if one is long enough; return whether there was one."""
     rows = connection.execute(
         "SELECT first_offset, segment, n_records + n_reports, level FROM segments ORDER BY first_offset DESC, segment DESC LIMIT ?",
         (_MERGE_SPAN,),
-    ).fetchall()
-    for level, n_wanted in enumerate(MERGED_TOGETHER):
-        run = []
-        for first, segment, size, of_level in rows:
-            if of_level == level and size < SMALL * (1 + level * n_wanted // 4):
-                run.append((first, segment))
-            elif run or of_level > level:
-                break
-        if len(run) >= n_wanted:
-            _merge(connection, oldest=run[-1], newest=run[0], level=level + 1)
+    )
+    for level, run in itertools.groupby(rows.fetchall(), key=_mergeable_level):
+        members = list(run)
+        if level is not None and len(members) >= _MERGED_TOGETHER[level]:
+            _merge(connection, oldest=members[-1][:2], newest=members[0][:2], level=level + 1)
             return True
     return False
 
@@ -121,6 +117,11 @@ def used_size(connection: sqlite3.Connection) -> int:
     """Return the octets of the file that hold something."""
     n_pages = connection.execute("PRAGMA page_count").fetchone()[0] - connection.execute("PRAGMA freelist_count").fetchone()[0]
     return int(n_pages * connection.execute("PRAGMA page_size").fetchone()[0])
+
+
+def _mergeable_level(row: tuple[int, int, int, int]) -> int | None:
+    _, _, size, level = row
+    return level if level < len(_SMALL) and size < _SMALL[level] else None
 
 
 def _delivered(connection: sqlite3.Connection, retention: Retention, *, now_wall_ns: int) -> int | None:

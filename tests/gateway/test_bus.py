@@ -7,12 +7,14 @@ from pathlib import Path
 import zenoh
 
 from firmware_protocol.contract.keys import Stream, build_key
-from firmware_protocol.contract.records import StimulationAction, StimulationRequest, encode_record
+from firmware_protocol.contract.records import Mode, StimulationAction, StimulationRequest, Watermark, encode_record
 from gateway.bus import Bus, CommandAnswer
 from gateway.health import Health
 from gateway.journal import Journal
+from gateway.journal_file import JournalWrite
 from tests.gateway.fake_radio import until
 from tests.gateway.harness import a_config, a_request, peer_config
+from tests.gateway.makers import a_mode_record
 
 
 def test_a_stop_passes_where_as_many_commands_wait_as_may(tmp_path: Path) -> None:
@@ -52,5 +54,44 @@ def test_a_stop_passes_where_as_many_commands_wait_as_may(tmp_path: Path) -> Non
         finally:
             await asyncio.to_thread(bus.close)
             journal.close()
+
+    asyncio.run(story())
+
+
+def test_a_mapper_that_says_how_far_it_has_come_is_remembered_over_a_restart(tmp_path: Path) -> None:
+    async def story() -> None:
+        config, path = a_config(tmp_path), tmp_path / "j"
+        health = Health()
+        journal = Journal.open(path, health=health)
+        running = asyncio.ensure_future(journal.run())
+        for number in range(3):
+            await journal.append(JournalWrite(records=(a_mode_record(sequence=number, node=1, mode=Mode.S),)))
+        bus = await asyncio.to_thread(Bus.open, config, health=health)
+        bus.start(
+            on_command=lambda _request, _answer: None,
+            open_reader=journal.reader,
+            journal=journal.journal_id,
+            on_watermark=journal.note_watermark,
+        )
+        key = build_key(site="test", stream=Stream.WATERMARK, gateway="base1", mapper="m1")
+        of_another = Watermark(mapper="m1", journal="another", offset=9)
+        mark = Watermark(mapper="m1", journal=journal.journal_id, offset=2)
+        with zenoh.open(peer_config(config.listen[0])) as peer:
+
+            def say() -> bool:
+                for payload in (b"no record", encode_record(of_another), encode_record(mark)):
+                    peer.put(key, payload)
+                return bool(journal.watermarks)
+
+            await until(say, what="the gateway has heard the mapper")
+        assert dict(journal.watermarks) == {"m1": 2}
+        await until(lambda: not journal._new_watermarks, what="it is written down")
+        running.cancel()
+        await asyncio.wait({running})
+        await asyncio.to_thread(bus.close)
+        journal.close()
+        again = Journal.open(path, health=health)
+        assert dict(again.watermarks) == {"m1": 2}
+        again.close()
 
     asyncio.run(story())

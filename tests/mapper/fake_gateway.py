@@ -9,7 +9,7 @@ from typing import Any, Self
 import zenoh
 import zenoh.ext
 
-from firmware_protocol.contract.keys import Stream, build_key
+from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.records import (
     Cause,
     CommandStage,
@@ -26,6 +26,7 @@ from firmware_protocol.contract.records import (
     Stage,
     StimulationRequest,
     Struct,
+    Watermark,
     decode_record,
     encode_record,
 )
@@ -133,6 +134,8 @@ class FakeGateway:
         self.name = name
         self.journal = journal
         self.records: list[JournalRecord] = []
+        self.oldest_offset = 1
+        self.watermarks: list[Watermark] = []
         self.commands: list[StimulationRequest] = []
         self.history_requests: list[HistoryRequest] = []
         self.answer: Answer = lambda _request: (Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED)
@@ -163,6 +166,10 @@ class FakeGateway:
         self._kept: list[Any] = [
             self._session.declare_queryable(self._key(Stream.HISTORY), self._on_history),
             self._session.declare_queryable(self._key(Stream.COMMAND), self._on_command),
+            self._session.declare_subscriber(
+                build_key(site=SITE, stream=Stream.WATERMARK, gateway=name, mapper=ANY),
+                lambda sample: self.watermarks.append(decode_record(sample.payload.to_bytes(), Watermark)),
+            ),
             self._session.liveliness().declare_token(self._key(Stream.ALIVE)),
         ]
 
@@ -176,6 +183,12 @@ class FakeGateway:
         """Write records without publishing them."""
         with self._lock:
             self.records += records
+
+    def drop_before(self, offset: int) -> None:
+        """Let the oldest records go, as retention does."""
+        with self._lock:
+            self.records = [record for record in self.records if record.offset >= offset]
+        self.oldest_offset = offset
 
     def publish(self, records: Sequence[JournalRecord]) -> None:
         """Publish records, each on its stream, without writing them."""
@@ -210,6 +223,7 @@ class FakeGateway:
             wall_ns=Nanoseconds(0),
             radios={"pty": "up"},
             counters={"frames": 12},
+            oldest_offset=self.oldest_offset,
         )
         self._session.put(self._key(Stream.STATUS), encode_record(status))
 
@@ -243,7 +257,9 @@ class FakeGateway:
 
     def _batch(self, records: Sequence[JournalRecord]) -> RecordBatch:
         head = max(self._head(), *(record.offset for record in records)) if records else self._head()
-        return RecordBatch(gateway=self.name, journal=self.journal, head_offset=head, records=tuple(records))
+        return RecordBatch(
+            gateway=self.name, journal=self.journal, head_offset=head, records=tuple(records), oldest_offset=self.oldest_offset
+        )
 
     def _on_history(self, query: zenoh.Query) -> None:
         with query:

@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -17,6 +18,7 @@ from mapper.changes import Topic
 from mapper.commands import Command, Outcome
 from mapper.errors import BiobotNotFoundError, BusError, CommandNotFoundError, CommandRefusedError
 from mapper.store import Store
+from mapper.watermarks import Watermarks
 from tests.mapper.fake_gateway import SITE, FakeGateway, batch, encounter, free_port, mode
 from tests.mapper.mapper_side import Side, mapper_side, until
 
@@ -201,5 +203,61 @@ def test_endpoints_that_cannot_be_are_refused_with_their_text() -> None:
         port = free_port()
         with FakeGateway(port=port), pytest.raises(BusError, match="already in use"):
             await Bus.open(site=SITE, connect=(), listen=(f"tcp/127.0.0.1:{port}",))
+
+    asyncio.run(story())
+
+
+def test_what_left_the_journal_before_it_came_is_counted_as_expired_and_nothing_else(tmp_path: Path) -> None:
+    async def story() -> None:
+        port = free_port()
+        everything: list[JournalRecord] = [encounter(n) for n in range(1, 101)]
+        with FakeGateway(port=port) as gateway:
+            gateway.journal_records(everything)
+            async with mapper_side(port, store=tmp_path / "store") as side:
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
+                gateway.publish(everything[:20])
+                gateway.publish(everything[49:60])  # beyond the gap
+                await side.until(lambda store: store.n_encounters == 31)
+                gateway.drop_before(71)
+                gateway.publish_status()
+                await side.until(level(100))
+                assert await side.n_encounters() == 20 + 11 + 30
+                assert side.intake.counters["expired"] == 29 + 10
+                assert side.intake.counters["given_up"] == 0
+                (fault,) = side.intake.expiries.values()
+                assert "61 to 70" in fault
+                assert "[retention]" in fault
+                assert all(request.from_offset >= 61 for request in gateway.history_requests[1:]), "not asked for in vain"
+        port = free_port()
+        with FakeGateway(port=port) as gateway:
+            gateway.journal_records(everything)
+            gateway.drop_before(71)
+            async with mapper_side(port, store=tmp_path / "new") as side:
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
+                gateway.publish_status()
+                await side.until(level(100))
+                assert side.intake.counters["expired"] == 70
+                assert side.intake.expiries == {}, "a store that begins late has missed the beginning: no fault"
+
+    asyncio.run(story())
+
+
+def test_a_mapper_tells_its_gateway_what_it_has_on_disk_and_no_more(tmp_path: Path) -> None:
+    async def story() -> None:
+        port = free_port()
+        with FakeGateway(port=port) as gateway:
+            places: tuple[tuple[Path | None, str], ...] = ((tmp_path / "store", "m1"), (None, "m2"))
+            for store, name in places:
+                async with mapper_side(port, store=store) as side:
+                    await until(lambda: gateway.is_heard)
+                    gateway.publish([encounter(n) for n in (1, 2, 3, 5)])
+                    await side.until(lambda store: store.n_encounters == 4)
+                    telling = asyncio.create_task(Watermarks(bus=side.bus, records=side.records, name=name, period_s=0.05).run())
+                    if store is not None:
+                        await until(lambda: bool(gateway.watermarks))
+                    else:
+                        await asyncio.sleep(0.3)
+                    telling.cancel()
+            assert {(mark.mapper, mark.journal, mark.offset) for mark in gateway.watermarks} == {("m1", "journal1", 3)}
 
     asyncio.run(story())
