@@ -5,7 +5,6 @@ disk together or not at all. Only then is the biobot told, the dongle's payload 
 """
 
 import asyncio
-import sqlite3
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from functools import partial
 
 import msgspec
 
-from firmware_protocol.contract.records import Cause, EncounterRecord, JournalRecord, NeighbourReport, NodeStatus
+from firmware_protocol.contract.records import Cause, JournalRecord, NeighbourReport, NodeStatus
 from firmware_protocol.message_codec import decode_uplink
 from firmware_protocol.messages import (
     BROADCAST_NODE,
@@ -21,7 +20,6 @@ from firmware_protocol.messages import (
     Diagnostic,
     EncounterBatch,
     EncounterBatchWithPaths,
-    EncounterEntry,
     Hello,
     Limits,
     MessageFault,
@@ -33,9 +31,9 @@ from firmware_protocol.messages import (
     Uplink,
     UplinkHeader,
 )
-from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_MS, NS_PER_S, BootId, Nanoseconds, NodeId
+from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, BootId, NodeId
 from gateway.clocks import ClockBook, NodeClock
-from gateway.encounters import EncounterMerger, SideReport, margin_of
+from gateway.encounter_intake import MAX_AHEAD_MS, EncounterIntake
 from gateway.health import Health
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
@@ -48,17 +46,8 @@ from gateway.sequences import SequenceWindow
 _MAX_BOOTS = 4
 """Lives of one backpack whose messages are still taken: a dongle's queue may hold some from before a restart."""
 
-_MAX_AHEAD_MS = 1_000
-"""A time this far after the message was sent cannot be; less may come from rounding."""
-
 _CLOCK_PATIENCE_NS = 5 * NS_PER_S
 """A backpack whose clock could not be settled for so long (it hears nothing) is believed as it is, with a wide error."""
-
-_ABSENT_AFTER_NS = 120 * NS_PER_S
-"""A biobot that was last heard so long before another is out of range of this gateway: only the other reports what the two share."""
-
-_RECALL_SLACK_NS = 10 * NS_PER_S
-"""Encounters this far around a late report, beside twice its margin, are brought back: more than the error of any clock."""
 
 
 @dataclass(slots=True)
@@ -107,8 +96,7 @@ class Intake:
         self._clocks = clocks
         self._health = health
         self._window_ns = int(window_s * NS_PER_S)
-        self._horizon_ns = now_ns
-        self._merger = EncounterMerger(issuer=issuer)
+        self._encounters = EncounterIntake(issuer=issuer, nodes=nodes, reader=reader, health=health, now_ns=now_ns)
         self._modes = ModeTracker(issuer=issuer)
         self._lives: dict[NodeId, OrderedDict[BootId, _Life]] = {}
         self._listeners: IntakeListeners | None = None
@@ -189,9 +177,8 @@ class Intake:
     def forget_old(self, *, now_ns: int) -> None:
         """Drop encounters older than the window from memory; the journal knows them. To be called now and then."""
         if self._journal.barrier().done():  # what is not on disk yet could not be recalled
-            self._horizon_ns = max(self._horizon_ns, now_ns - self._window_ns)
-            self._merger.forget_before(self._horizon_ns)
-        self._health.set_level("encounters.in_memory", len(self._merger))
+            self._encounters.forget_before(now_ns - self._window_ns)
+        self._health.set_level("encounters.in_memory", len(self._encounters))
 
     def _tell_again(self, node: NodeId) -> "asyncio.Future[None]":
         """Have a biobot that repeated something told once more, when all that came before is on disk; the future is done then."""
@@ -277,7 +264,9 @@ class Intake:
             case Hello() | Limits() | Diagnostic() | ConfigurationReport():
                 return (), self._hear(uplink, node=node, number=number)
             case EncounterBatch(entries=entries) | EncounterBatchWithPaths(entries=entries):
-                return tuple(record for entry in entries for record in self._merge(entry, header=header, node=node, clock=clock)), None
+                return tuple(
+                    record for entry in entries for record in self._encounters.take(entry, header=header, node=node, clock=clock)
+                ), None
             case Status():
                 is_newest = header.boot == node.boot and self._nodes.take_status(node, uplink, number=number)
                 report = self._mode_report(uplink, header=header, clock=clock)
@@ -325,65 +314,6 @@ class Intake:
         status = self._nodes.status_of(node)
         return None if status is None else lambda listeners: listeners.on_status(status)
 
-    def _merge(self, entry: EncounterEntry, *, header: UplinkHeader, node: Node, clock: NodeClock) -> list[EncounterRecord]:
-        end_ms = entry.start_ms + entry.duration_ms
-        if entry.peer in {header.node, BROADCAST_NODE} or end_ms > header.sent_ms + _MAX_AHEAD_MS:
-            self._health.count("encounter.impossible")
-            return []
-        t_start_ns, t_end_ns, error_ns = clock.read_span(entry.start_ms, end_ms)
-        peer = self._nodes.find(entry.peer)
-        period_ms = self._period_ms(node, peer)
-        margin_ns = margin_of(beacon_period_ms=period_ms, error_ns=error_ns, n_bridged=self._n_bridged(node, peer))
-        report = SideReport(
-            node=header.node,
-            peer=entry.peer,
-            t_start_ns=Nanoseconds(t_start_ns),
-            t_end_ns=Nanoseconds(t_end_ns),
-            error_ns=Nanoseconds(error_ns),
-            rssi_dbm=entry.rssi_dbm,
-            is_ongoing=entry.is_ongoing,
-            margin_ns=margin_ns,
-            period_ns=period_ms * NS_PER_MS,
-            path_mm=entry.path_mm,
-        )
-        if t_start_ns - margin_ns <= self._horizon_ns:
-            self._recall(report)
-        self._health.count("encounter.reports")
-        return self._merger.merge(report)
-
-    @staticmethod
-    def _period_ms(*nodes: Node | None) -> int:
-        """Return the pause between the beacons of a pair [ms], the longer one; 0: neither sends any, or has said so."""
-        return max((node.beacon_period_ms for node in nodes if node is not None), default=0)
-
-    def _recall(self, report: SideReport) -> None:
-        """Bring back from the journal what the merger has forgotten and this late report may belong to."""
-        node_a, node_b = sorted((report.node, report.peer))
-        slack_ns = 2 * report.margin_ns + _RECALL_SLACK_NS
-        from_wall_ns, to_wall_ns = self._issuer.to_recorded_wall_ns(report.t_start_ns - slack_ns, report.t_end_ns + slack_ns)
-        try:
-            records = self._reader.read_pair(node_a=node_a, node_b=node_b, from_wall_ns=from_wall_ns, to_wall_ns=to_wall_ns)
-        except sqlite3.Error:
-            # The report is kept as an encounter of its own; its other half, if there is one, stays another.
-            self._health.count("encounter.unread_journal")
-            return
-        if records:
-            self._merger.restore(records, margin=self._margin_of_record, period=lambda record: self._period_ms_of(record) * NS_PER_MS)
-
-    def _n_bridged(self, node: Node | None, peer: Node | None) -> int:
-        """Return how many lost beacons in a row are bridged: more where the other's reports are not to be expected here."""
-        guesses = self._merger.loss.now
-        is_alone = node is None or peer is None or abs(node.last_heard_ns - peer.last_heard_ns) > _ABSENT_AFTER_NS
-        return guesses.n_bridged_alone if is_alone else guesses.n_bridged
-
-    def _period_ms_of(self, record: EncounterRecord) -> int:
-        return self._period_ms(self._nodes.find(record.node_a), self._nodes.find(record.node_b))
-
-    def _margin_of_record(self, record: EncounterRecord) -> int:
-        error_ns = max((side.error_ns or record.error_ns for side in record.sides), default=record.error_ns)
-        n_bridged = self._n_bridged(self._nodes.find(record.node_a), self._nodes.find(record.node_b))
-        return margin_of(beacon_period_ms=self._period_ms_of(record), error_ns=error_ns, n_bridged=n_bridged)
-
     def _mode_report(self, uplink: Status | StimulateReply, *, header: UplinkHeader, clock: NodeClock) -> ModeReport | None:
         is_reply = isinstance(uplink, StimulateReply)
         if isinstance(uplink, StimulateReply):
@@ -392,7 +322,7 @@ class Intake:
             since_ms, cause = uplink.executed_ms, Cause.COMMAND
         else:
             since_ms, cause = uplink.mode_since_ms, cause_of(uplink.cause)
-        if since_ms > header.sent_ms + _MAX_AHEAD_MS:
+        if since_ms > header.sent_ms + MAX_AHEAD_MS:
             self._health.count("mode.impossible")
             return None
         since = clock.read(since_ms)
