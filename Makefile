@@ -75,6 +75,9 @@ bench-live: venv  ## 2,000 encounters/s into a store of 500,000: age of the map,
 soak: venv  ## hours of radios that fail now and then: does memory grow, do descriptors or threads? (docs/soak.md; ARGS="--hours 2")
 	$(PY) -m studies.soak $(ARGS)
 
+clocks: venv  ## times of encounters and their bounds against the truth: drift, queues, restarts, lost beacons (half a minute)
+	$(PY) -m studies.clocks $(ARGS)
+
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)
 

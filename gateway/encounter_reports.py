@@ -123,7 +123,9 @@ class EncounterReports:
     def _recall(self, report: SideReport) -> None:
         """Bring back from the journal what the merger has forgotten and this late report may belong to."""
         node_a, node_b = sorted((report.node, report.peer))
-        slack_ns = 2 * report.margin_ns + _RECALL_SLACK_NS
+        # What is known of an encounter's ends grows better, so a later revision may be shorter than an earlier one by up to two
+        # periods: less than four margins. Of what is found, only that counts whose newest revision is near.
+        slack_ns = 6 * report.margin_ns + _RECALL_SLACK_NS
         from_wall_ns, to_wall_ns = self._issuer.to_recorded_wall_ns(report.t_start_ns - slack_ns, report.t_end_ns + slack_ns)
         try:
             records = self._reader.read_pair(node_a=node_a, node_b=node_b, from_wall_ns=from_wall_ns, to_wall_ns=to_wall_ns)
@@ -131,8 +133,11 @@ class EncounterReports:
             # The report is kept as an encounter of its own; its other half, if there is one, stays another.
             self._health.count("encounter.unread_journal")
             return
-        if records:
-            self._merger.restore(records, margin=self._margin_of_record, period=lambda record: self._period_ms_of(record) * NS_PER_MS)
+        newest = {record.identity: record for record in records}
+        near_ns = 4 * report.margin_ns
+        near = [one for one in newest.values() if _is_near(one, from_wall_ns=from_wall_ns + near_ns, to_wall_ns=to_wall_ns - near_ns)]
+        if near:
+            self._merger.restore(near, margin=self._margin_of_record, period=lambda record: self._period_ms_of(record) * NS_PER_MS)
 
     def _n_bridged(self, node: Node | None, peer: Node | None) -> int:
         """Return how many lost beacons in a row are bridged: more where the other's reports are not to be expected here."""
@@ -149,3 +154,7 @@ class EncounterReports:
         error_ns = max((side.error_ns or record.error_ns for side in record.sides), default=record.error_ns)
         n_bridged = self._n_bridged(self._nodes.find(record.node_a), self._nodes.find(record.node_b))
         return margin_of(beacon_period_ms=self._period_ms_of(record), error_ns=error_ns, n_bridged=n_bridged)
+
+
+def _is_near(record: EncounterRecord, *, from_wall_ns: int, to_wall_ns: int) -> bool:
+    return record.t_start_ns + record.wall_anchor_ns <= to_wall_ns and record.t_end_ns + record.wall_anchor_ns >= from_wall_ns

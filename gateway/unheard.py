@@ -26,8 +26,8 @@ _JITTER_SLACK = 0.06
 two uniform draws)."""
 
 _LEVELS = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
-_LOWEST = 0.004
-"""An estimate below this, one lost beacon in 250, counts as no loss."""
+_LOWEST = 0.012
+"""An estimate below this, one lost beacon in 80, counts as no loss: so many gaps are those of insects that part and meet again."""
 
 _N_STEPS = 32
 _SHORT = 3.0
@@ -127,7 +127,7 @@ class BeaconLoss:
     beacons fade, by half in about 700 reports.
     """
 
-    now: Guesses = field(default_factory=lambda: guesses(_LEVELS[1]))
+    now: Guesses = field(default_factory=lambda: guesses(0.0))
     share: float = 0.01
     _missed: float = 2.0
     _trials: float = 200.0
@@ -136,7 +136,8 @@ class BeaconLoss:
         """Take a final report that lasted so long, and how long before it the side had reported before [beacon periods]; 0: unknown."""
         missed = round(gap) - 1 if _LOST_GAP < gap < _LONGEST_GAP else 0
         self._missed = self._missed * _FADING + missed
-        self._trials = self._trials * _FADING + missed + round(duration) + 1
+        # The first beacon of a report is no trial, for without it there were no report; behind a gap it is.
+        self._trials = self._trials * _FADING + round(duration) + (missed + 1 if missed else 0)
         self.share = self._missed / self._trials
         level = 0.0 if self.share < _LOWEST else _LEVELS[min(bisect_left(_LEVELS, self.share), len(_LEVELS) - 1)]
         if level != self.now.loss:

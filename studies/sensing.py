@@ -21,7 +21,7 @@ from simulator.radios.radio import RADIO_PRESETS
 from simulator.radios.sensing import SensingConfig, sense
 from simulator.truth import TruthRecorder
 from simulator.world import World
-from studies.errors import MarkerError
+from studies.tables import put_between_markers
 
 RADII_M = (0.25, 0.5, 1.0)
 PERIODS_S = (0.5, 1.0, 2.0, 5.0)
@@ -124,21 +124,6 @@ def to_markdown(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def put_between_markers(document: str, table: str, *, path: Path) -> str:
-    """Return the document with the table in place of what stood between the markers.
-
-    Raises
-    ------
-    MarkerError
-        The markers are not there once each, in order.
-    """
-    before, begin, rest = document.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (begin and end) or BEGIN in rest or END in after:
-        raise MarkerError(path=path, markers=(BEGIN, END))
-    return f"{before}{BEGIN}\n\n{table}\n\n{END}{after}"
-
-
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f} %"
 
@@ -152,12 +137,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     document = None if args.write is None else args.write.read_text()
     if document is not None:
-        put_between_markers(document, "", path=args.write)  # tell of a missing marker before the work, not after
+        put_between_markers(document, "", path=args.write, markers=(BEGIN, END))  # tell of a missing marker before the work, not after
     table = to_markdown(list(study(duration_s=_QUICK_S if args.quick else _DURATION_S, seed=args.seed)))
     if document is None:
         print(table)
     else:
-        args.write.write_text(put_between_markers(document, table, path=args.write))
+        args.write.write_text(put_between_markers(document, table, path=args.write, markers=(BEGIN, END)))
     return 0
 
 

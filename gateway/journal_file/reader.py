@@ -82,7 +82,7 @@ class JournalReader:
     def read_pair(self, *, node_a: NodeId, node_b: NodeId, from_wall_ns: int, to_wall_ns: int) -> list[EncounterRecord]:
         """Return all revisions of a pair's encounters that overlap a time, in the order of their offsets.
 
-        An encounter's interval never shrinks, so where an earlier revision overlaps the newest one does.
+        A revision may be shorter than an earlier one by what its ends are known better: who wants the newest ones looks that much further.
         """
         needle = pair_needle(node_a, node_b)
         rows = self._connection.execute(

@@ -6,7 +6,8 @@ import pytest
 
 from studies import sensing
 from studies.errors import MarkerError
-from studies.sensing import BEGIN, END, PERIODS_S, SENSINGS, put_between_markers, study, to_markdown
+from studies.sensing import BEGIN, END, PERIODS_S, SENSINGS, study, to_markdown
+from studies.tables import put_between_markers
 
 
 def test_the_study_covers_every_period_and_radio_and_finds_most_encounters() -> None:
@@ -22,9 +23,9 @@ def test_the_study_covers_every_period_and_radio_and_finds_most_encounters() -> 
 
 def test_the_table_replaces_what_stood_between_the_markers_and_nothing_else(tmp_path: Path) -> None:
     document = f"before\n{BEGIN}\nold\n{END}\nafter\n"
-    written = put_between_markers(document, "| new |", path=tmp_path)
+    written = put_between_markers(document, "| new |", path=tmp_path, markers=(BEGIN, END))
     assert written == f"before\n{BEGIN}\n\n| new |\n\n{END}\nafter\n"
-    assert put_between_markers(written, "| new |", path=tmp_path) == written
+    assert put_between_markers(written, "| new |", path=tmp_path, markers=(BEGIN, END)) == written
 
 
 @pytest.mark.parametrize("document", ["", BEGIN, f"{END}{BEGIN}", f"{BEGIN}{BEGIN}{END}", f"{BEGIN}{END}{END}"])
