@@ -75,6 +75,9 @@ bench-live: venv  ## 2,000 encounters/s into a store of 500,000: age of the map,
 soak: venv  ## hours of radios that fail now and then: does memory grow, do descriptors or threads? (docs/soak.md; ARGS="--hours 2")
 	$(PY) -m studies.soak $(ARGS)
 
+bench-gateway: venv  ## encounters through a gateway with eight dongles under load: how many, at what cost, how late (minutes; ARGS="--encounters 1e7")
+	$(PY) -m studies.bench_gateway $(ARGS)
+
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)
 
