@@ -126,6 +126,6 @@ deploy-check: venv  ## check the systemd units and udev rules of deploy/ with sy
 	$(PY) scripts/deploy_check.py
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out bench-live-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out bench-live-out bench-gateway-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 .PHONY: $(shell sed -nE 's/^([a-z-]+):( .*)?$$/\1/p' $(MAKEFILE_LIST))
