@@ -32,6 +32,22 @@ _PATIENCE_NS = 400 * NS_PER_MS
 _POLL_S = 0.01
 
 
+class Pace:
+    """How many acknowledgements go out over each radio. Pure: time is an argument."""
+
+    def __init__(self) -> None:
+        self._free_ns: dict[str, int] = {}
+        """When each radio is free for the next one."""
+
+    def take(self, radio: str, *, due_ns: int, now_ns: int) -> bool:
+        """Say whether an acknowledgement that was due at ``due_ns`` may go out now; if so, it is counted."""
+        free_ns = max(self._free_ns.get(radio, 0), now_ns - _BURST * _PACE_NS)
+        if free_ns > now_ns and now_ns < due_ns + _PATIENCE_NS:
+            return False
+        self._free_ns[radio] = free_ns + _PACE_NS
+        return True
+
+
 class Acknowledger:
     """Sends an Acknowledge to each biobot that has something new on disk; ``run`` is its task.
 
@@ -48,8 +64,7 @@ class Acknowledger:
         self._due_ns: dict[NodeId, int] = {}
         self._marked_ns: dict[NodeId, int] = {}
         self._sent_ns: dict[NodeId, int] = {}
-        self._free_ns: dict[str, int] = {}
-        """When the pace lets the next acknowledgement go out over each radio."""
+        self._pace = Pace()
         self._wake = asyncio.Event()
 
     def mark(self, node: NodeId) -> None:
@@ -74,15 +89,11 @@ class Acknowledger:
             await asyncio.sleep(max(_POLL_S, (earliest_ns - now_ns) / NS_PER_S))
 
     def _may_go(self, node: NodeId, *, due_ns: int, now_ns: int) -> bool:
-        """Whether a biobot's radio has room for its acknowledgement, and its pace allows it; if so, it is counted."""
+        """Whether a biobot's radio has room for its acknowledgement, and its pace allows it."""
         radio = self._sender.radio_of(node)
         if radio is None:
             return True
-        free_ns = max(self._free_ns.get(radio, 0), now_ns - _BURST * _PACE_NS)
-        if (free_ns > now_ns and now_ns < due_ns + _PATIENCE_NS) or self._sender.n_pending(node) >= _MAX_PENDING:
-            return False
-        self._free_ns[radio] = free_ns + _PACE_NS
-        return True
+        return self._sender.n_pending(node) < _MAX_PENDING and self._pace.take(radio, due_ns=due_ns, now_ns=now_ns)
 
     def _tell(self, node: NodeId) -> None:
         marked_ns = self._marked_ns.pop(node)

@@ -75,6 +75,15 @@ class IntakeListeners:
     """Told at once: a report was not taken because its backpack's clock is not known yet."""
 
 
+class _Taken(msgspec.Struct, frozen=True, kw_only=True, gc=False):
+    """A message that waits for the disk."""
+
+    life: _Life
+    number: int
+    node: NodeId
+    tell: Callable[[IntakeListeners], None] | None
+
+
 class Intake:
     """Takes uplink messages; see the module's description. Belongs to one event loop."""
 
@@ -100,6 +109,8 @@ class Intake:
         self._modes = ModeTracker(issuer=issuer)
         self._lives: dict[NodeId, OrderedDict[BootId, _Life]] = {}
         self._listeners: IntakeListeners | None = None
+        self._awaited: tuple[asyncio.Future[None], list[_Taken]] | None = None
+        """What the newest group of writes is made of."""
         self._repeaters: tuple[asyncio.Future[None], set[NodeId]] | None = None
         """Who repeated something while a group of writes waits for the disk: told once when it is there, however often it was said."""
         self._restore()
@@ -135,11 +146,22 @@ class Intake:
             if isinstance(uplink, StimulateReply) and name != BROADCAST_NODE:
                 self._listeners_or_fail().on_reply(NodeId(name), uplink)  # what an animal does is worth knowing without a disk too
             return None
-        header = UplinkHeader(node=NodeId(name), boot=BootId(boot), sequence=sequence, sent_ms=Milliseconds(sent_ms))
-        node, is_changed = self._note(message, header)
-        clock = self._clocks.observe(node=header.node, boot=header.boot, sent_ms=header.sent_ms, received_ns=message.received_ns)
+        name, boot, sent_ms = NodeId(name), BootId(boot), Milliseconds(sent_ms)
+        wall_ns = self._issuer.to_wall_ns(message.received_ns)
+        node, is_changed = self._nodes.heard(
+            node=name,
+            boot=boot,
+            radio=message.radio,
+            address=message.source,
+            rssi_dbm=message.rssi_dbm,
+            lqi=message.lqi,
+            sent_ms=sent_ms,
+            now_ns=message.received_ns,
+            now_wall_ns=wall_ns,
+        )
+        clock = self._clocks.observe(node=name, boot=boot, sent_ms=sent_ms, received_ns=message.received_ns)
         if isinstance(uplink, TimeSyncReply):
-            is_ours = self._clocks.end_exchange(node=header.node, boot=header.boot, token=uplink.token, arrived_ms=uplink.received_ms)
+            is_ours = self._clocks.end_exchange(node=name, boot=boot, token=uplink.token, arrived_ms=uplink.received_ms)
             self._health.count("message.time_sync_reply" if is_ours else "message.time_sync_unexpected")
             return None
         if (uplink is None or isinstance(uplink, Status)) and self._must_wait(clock, now_ns=message.received_ns):
@@ -147,38 +169,35 @@ class Intake:
             self._health.count("message.clock_unknown")
             self._listeners_or_fail().on_unknown_clock()
             return None
-        life = self._life(header.node, header.boot)
+        life = self._life(name, boot)
         number = life.received.unwrap(sequence)
         if life.received.has(number):
             self._health.count("message.repeated")
-            return self._tell_again(header.node)
+            return self._tell_again(name)
         life.received.add(number)
         self._health.count(_COUNTERS[kind])
         tell: Callable[[IntakeListeners], None] | None = None
         if entries is not None:
             records: tuple[JournalRecord, ...] = tuple(self._reports.take(entries, node=node, sent_ms=sent_ms, clock=clock))
         elif uplink is not None:
+            header = UplinkHeader(node=name, boot=boot, sequence=sequence, sent_ms=sent_ms)
             records, tell = self._digest(uplink, header=header, node=node, clock=clock, number=number)
-        if isinstance(uplink, Hello | Limits) and header.boot == node.boot:
-            is_changed = True
-        write = JournalWrite(
-            records=records,
-            report=UplinkReport(
-                node=header.node,
-                boot=header.boot,
-                number=number,
-                next_number=life.received.next,
-                received_wall_ns=self._issuer.to_wall_ns(message.received_ns),
-                radio=message.radio,
-                address=message.source,
-                rssi_dbm=message.rssi_dbm,
-                lqi=message.lqi,
-                payload=message.payload,
-            ),
-            node=(header.node, msgspec.msgpack.encode(node.memory())) if is_changed else None,
+            is_changed |= isinstance(uplink, Hello | Limits) and boot == node.boot
+        report = UplinkReport(
+            node=name,
+            boot=boot,
+            number=number,
+            next_number=life.received.next,
+            received_wall_ns=wall_ns,
+            radio=message.radio,
+            address=message.source,
+            rssi_dbm=message.rssi_dbm,
+            lqi=message.lqi,
+            payload=message.payload,
         )
-        done = self._journal.append(write)
-        done.add_done_callback(partial(self._committed, life, number, header.node, tell))
+        memory = (name, msgspec.msgpack.encode(node.memory())) if is_changed else None
+        done = self._journal.join(JournalWrite(records=records, report=report, node=memory))
+        self._await(done, _Taken(life=life, number=number, node=name, tell=tell))
         return done
 
     def forget_old(self, *, now_ns: int) -> None:
@@ -221,18 +240,24 @@ class Intake:
         assert self._listeners is not None, "connect() comes before the first message"
         return self._listeners
 
-    def _committed(
-        self, life: _Life, number: int, node: NodeId, tell: Callable[[IntakeListeners], None] | None, done: "asyncio.Future[None]"
-    ) -> None:
-        if done.cancelled() or done.exception() is not None:
-            # It can never be stored. The biobot is told to forget it, lest it repeat it and hold back what follows for ever.
-            self._health.count("message.unstorable")
-            tell = None
-        life.committed.add(number)
-        listeners = self._listeners_or_fail()
-        listeners.on_committed(node)
-        if tell is not None:
-            tell(listeners)
+    def _await(self, done: "asyncio.Future[None]", taken: "_Taken") -> None:
+        """Have a message's end told when its write is done: one callback for all that are committed together."""
+        if self._awaited is None or self._awaited[0] is not done:
+            self._awaited = (done, [])
+            done.add_done_callback(partial(self._committed, self._awaited[1]))
+        self._awaited[1].append(taken)
+
+    def _committed(self, together: "list[_Taken]", done: "asyncio.Future[None]") -> None:
+        is_stored = not done.cancelled() and done.exception() is None
+        listeners, loop = self._listeners_or_fail(), asyncio.get_running_loop()
+        for taken in together:
+            taken.life.committed.add(taken.number)
+            listeners.on_committed(taken.node)
+            if not is_stored:
+                # It can never be stored. The biobot is told to forget it, lest it repeat it and hold back what follows for ever.
+                self._health.count("message.unstorable")
+            elif taken.tell is not None:
+                loop.call_soon(taken.tell, listeners)  # by itself: what fails there must not keep others from being told
 
     def _life(self, node: NodeId, boot: BootId) -> _Life:
         lives = self._lives.get(node)
@@ -245,19 +270,6 @@ class Intake:
             while len(lives) > _MAX_BOOTS:
                 del lives[next(old for old in lives if known is None or old != known.boot)]
         return life
-
-    def _note(self, message: RadioMessage, header: UplinkHeader) -> tuple[Node, bool]:
-        return self._nodes.heard(
-            node=header.node,
-            boot=header.boot,
-            radio=message.radio,
-            address=message.source,
-            rssi_dbm=message.rssi_dbm,
-            lqi=message.lqi,
-            sent_ms=header.sent_ms,
-            now_ns=message.received_ns,
-            now_wall_ns=self._issuer.to_wall_ns(message.received_ns),
-        )
 
     def _digest(
         self, uplink: Uplink, *, header: UplinkHeader, node: Node, clock: NodeClock, number: int

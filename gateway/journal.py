@@ -75,7 +75,7 @@ class _Group:
 
     @property
     def is_closed(self) -> bool:
-        return len(self.waiting) >= MAX_GROUP or self.segment.size >= MAX_GROUP_SIZE
+        return self.segment.n_writes >= MAX_GROUP or self.segment.size >= MAX_GROUP_SIZE
 
 
 class Journal:
@@ -192,24 +192,23 @@ class Journal:
         JournalFullError
             ``MAX_WAITING`` writes wait already.
         """
-        if self.is_full:
-            raise JournalFullError(limit=MAX_WAITING)
         done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        group = self._gathering()
-        try:
-            group.segment.add(write)
-        except _UNSTORABLE as error:
-            self._health.count("journal.unstorable_writes")
-            _log.error("journal.unstorable", path=self._path, reason=f"{type(error).__name__}: {error}")
-            done.set_exception(error)
-            done.exception()  # marked as seen: not everyone who appends waits
-            return done
-        self._next_offset = group.segment.next_offset
-        group.waiting.append(done)
-        self._n_waiting += 1
-        self._last_group = group.done
-        self._wake.set()
+        group = self._add(write, failing=done)
+        if group is not None:
+            group.waiting.append(done)
         return done
+
+    def join(self, write: JournalWrite) -> asyncio.Future[None]:
+        """Queue a write as ``append`` does, and return the future of all that is committed with it: for callbacks, never to be cancelled.
+
+        Raises
+        ------
+        JournalFullError
+            As of ``append``.
+        """
+        failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        group = self._add(write, failing=failed)
+        return failed if group is None else group.done
 
     def barrier(self) -> asyncio.Future[None]:
         """Return a future that resolves when all that was appended so far is on disk, but for what can never be stored."""
@@ -232,7 +231,7 @@ class Journal:
             self._wake.clear()
             while self._groups:
                 group = self._groups.popleft()
-                if group.waiting:
+                if group.segment.n_writes:
                     await self._commit(group)
                 if self._n_untidied >= _TIDY_AFTER or time.monotonic() - self._tidied_at >= _TIDY_PERIOD_S:
                     await self._tidy()
@@ -246,6 +245,25 @@ class Journal:
         """Close the file; what was not committed is dropped, and was acknowledged to nobody."""
         self._executor.shutdown(wait=True)
         self._file.close()
+
+    def _add(self, write: JournalWrite, *, failing: asyncio.Future[None]) -> _Group | None:
+        """Add a write to a group; where it can never be stored, let a future fail and return None."""
+        if self.is_full:
+            raise JournalFullError(limit=MAX_WAITING)
+        group = self._gathering()
+        try:
+            group.segment.add(write)
+        except _UNSTORABLE as error:
+            self._health.count("journal.unstorable_writes")
+            _log.error("journal.unstorable", path=self._path, reason=f"{type(error).__name__}: {error}")
+            failing.set_exception(error)
+            failing.exception()  # marked as seen: not everyone who appends waits
+            return None
+        self._next_offset = group.segment.next_offset
+        self._n_waiting += 1
+        self._last_group = group.done
+        self._wake.set()
+        return group
 
     def _gathering(self) -> _Group:
         """Return the group that takes the next write."""

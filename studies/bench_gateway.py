@@ -61,6 +61,9 @@ class Part:
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()
+        for pipe in (self.process.stdin, self.process.stdout):
+            if pipe is not None:
+                pipe.close()
 
     @property
     def process(self) -> "subprocess.Popen[str]":
@@ -87,6 +90,12 @@ class Part:
         """Write a line, and return what comes back."""
         self.tell(text)
         return self.hear()
+
+    def finish(self) -> None:
+        """Let a process that listens end by itself, with its files in order."""
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        self.process.wait(_STOP_S)
 
     def cpu_s(self) -> float:
         """Processor time so far [s]."""
@@ -141,17 +150,35 @@ def _measure(options: argparse.Namespace, out: Path) -> dict[str, Run]:
     full = ["--encounters", str(options.encounters)]
     if options.baseline is not None:
         few = ["--encounters", str(min(options.encounters, 1e5))]
-        runs["earlier gateway, full speed"] = _run(out / "earlier", few, source=options.baseline.resolve())
-    runs["full speed"] = _run(out / "full", full)
+        runs["earlier gateway, full speed"] = run_load(out / "earlier", few, source=options.baseline.resolve())
+    runs["full speed"] = run_load(out / "full", full)
     if options.singles:
-        runs["full speed, messages of one entry"] = _run(out / "singles", ["--encounters", str(options.singles), "--entries", "1"])
+        runs["full speed, messages of one entry"] = run_load(out / "singles", ["--encounters", str(options.singles), "--entries", "1"])
     if options.seconds:
         steady = ["--encounters", str(options.rate * options.seconds), "--rate", str(options.rate), "--sides", "1"]
-        runs[f"{options.rate:g} a second"] = _run(out / "steady", steady, watches_closely=True)
+        runs[f"{options.rate:g} a second"] = run_load(out / "steady", steady, watches_closely=True)
     return runs
 
 
-def _run(out: Path, load: list[str], *, source: Path | None = None, watches_closely: bool = False) -> Run:
+def run_load(out: Path, load: list[str], *, source: Path | None = None, watches_closely: bool = False) -> Run:
+    """Put a load on a gateway, wait until all is in the mapper's store, and compare.
+
+    Parameters
+    ----------
+    out
+        Made anew; all files and logs are there in the end.
+    load
+        Options of ``line_load``.
+    source
+        Tree whose gateway runs; None: this one's.
+    watches_closely
+        Look at the store twice a millisecond, for latencies.
+
+    Raises
+    ------
+    PartFailedError
+        A part of it ended.
+    """
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     endpoint, store = f"tcp/127.0.0.1:{free_port()}", out / "store.sqlite"
@@ -177,6 +204,7 @@ def _run(out: Path, load: list[str], *, source: Path | None = None, watches_clos
         facts["load_us"] = facts["cpu_s"] / facts["entries"] * 1e6
         facts |= {"counters": last["counters"], "gateways": last["gateways"]}
         mapper.ask("save")
+        mapper.finish()
         swarm.tell("end")
     verdict = check_store(store, out / "timetable.npz", seen=store.with_suffix(".seen.npy") if watches_closely else None)
     facts |= {"expected": verdict.n_expected, "lost": verdict.n_lost, "duplicated": verdict.n_duplicated, "altered": verdict.n_altered}

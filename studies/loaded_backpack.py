@@ -34,11 +34,15 @@ _AGO_MS: Final = 600
 """A meeting began so long before its report, and was over well before it."""
 
 _APART_MS: Final = 5
+_AGAIN_NS: Final = 700 * NS_PER_MS
+"""From the beginning of a pair's meeting to that of its next one, at least: more than its duration and all that a gateway bridges."""
+
 _LEAD: Final = 16
 """Messages that the fastest biobot may be ahead of the slowest one: both sides of a meeting come close to each other."""
 
-_OUTSTANDING: Final = 30
-"""Newest sequence number minus the oldest that is not acknowledged, at most (WIRE_FORMAT.md §5.1)."""
+_OUTSTANDING: Final = 12
+"""Newest sequence number minus the oldest that is not acknowledged. The protocol allows 30 (WIRE_FORMAT.md §5.1); with that many from each
+of 32 biobots a dongle's queue alone lasts for longer than the second after which they repeat, and what is measured is repetitions."""
 
 _BOOT: Final = BootId(1)
 _BOOTED_NS: Final = 1_000 * NS_PER_S
@@ -86,6 +90,9 @@ class Timetable:
     def is_due(self, message: int, node: int, now_ns: int) -> bool:
         """Whether a biobot may say its next message."""
         if self._begun_ns is None or message >= self.n_messages or message > self.slowest + _LEAD:
+            return False
+        last, cycle = (message + 1) * self.n_rounds_each - 1, self.n_biobots // 2 - 1
+        if last >= max(len(self.round_ns), cycle) and now_ns - _AGO_MS * NS_PER_MS < self.round_ns[last - cycle] + _AGAIN_NS:
             return False
         if not self.rate:
             return True

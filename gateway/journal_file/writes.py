@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 
+from msgspec import Struct
+
 from firmware_protocol.contract.records import JournalRecord
 from firmware_protocol.units import BootId, Nanoseconds, NodeId
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UplinkReport:
+class UplinkReport(Struct, frozen=True, kw_only=True, gc=False):
     """An uplink message as it came, and its backpack's window after it."""
 
     node: NodeId
@@ -38,8 +39,7 @@ class AuditEntry:
     body: bytes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JournalWrite:
+class JournalWrite(Struct, frozen=True, kw_only=True, gc=False):
     """What belongs together: all of it is on disk, or nothing. Its records are handed over: the journal writes their offsets into them."""
 
     records: tuple[JournalRecord, ...] = ()

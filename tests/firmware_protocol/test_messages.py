@@ -7,13 +7,21 @@ from hypothesis import strategies as st
 from firmware_protocol.crc import append_crc
 from firmware_protocol.envelope import Envelope, EnvelopeFault, RadioSend, decode_envelope, encode_envelope
 from firmware_protocol.errors import EncodeError
-from firmware_protocol.message_codec import decode_downlink, decode_uplink, encode_downlink, encode_uplink
+from firmware_protocol.message_codec import (
+    decode_downlink,
+    decode_uplink,
+    decode_uplink_fields,
+    encode_downlink,
+    encode_uplink,
+    read_encounters,
+)
 from firmware_protocol.messages import (
     MAX_ENCOUNTER_MS,
     MAX_RADIO_PAYLOAD,
     Acknowledge,
     Downlink,
     EncounterBatch,
+    EncounterBatchWithPaths,
     EncounterEntry,
     Hello,
     HelloRequest,
@@ -38,6 +46,15 @@ def test_decoding_inverts_encoding_of_uplinks(header: UplinkHeader, message: Upl
 
     assert len(payload) <= MAX_RADIO_PAYLOAD
     assert decode_uplink(payload) == (header, message)
+
+
+@given(uplink_headers, uplinks)
+def test_encounters_read_as_numbers_are_those_of_the_message(header: UplinkHeader, message: Uplink) -> None:
+    fields = decode_uplink_fields(encode_uplink(header, message))
+    assert isinstance(fields, tuple)
+    entries = message.entries if isinstance(message, EncounterBatch | EncounterBatchWithPaths) else None
+    plain = [(one.peer, one.start_ms, one.duration_ms, one.rssi_dbm, one.is_ongoing, one.path_mm) for one in entries or ()]
+    assert read_encounters(fields) == (None if entries is None else plain)
 
 
 @given(u16, downlinks)

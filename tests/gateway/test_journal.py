@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import dataclasses
 import os
 import signal
 import sqlite3
@@ -13,6 +12,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec.structs
 import pytest
 
 from firmware_protocol.contract.records import MissionPhase, MissionRecord, decode_journal_record
@@ -255,7 +255,7 @@ def test_a_write_that_can_never_be_stored_costs_itself_alone_and_leaves_no_gap(t
         bad = a_write(journal, 1)
         assert bad.report is not None
         futures = [journal.append(good)]
-        futures.append(journal.append(JournalWrite(records=bad.records, report=dataclasses.replace(bad.report, address=1 << 63))))
+        futures.append(journal.append(JournalWrite(records=bad.records, report=msgspec.structs.replace(bad.report, address=1 << 63))))
         futures.append(journal.append(a_write(journal, 2)))
         done, _ = await asyncio.wait(futures)
         assert [type(future.exception()) for future in futures] == [type(None), struct.error, type(None)]

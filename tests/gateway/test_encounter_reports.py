@@ -1,0 +1,137 @@
+"""Forgetting and recalling: what is told does not depend on what is in memory. On a real journal."""
+
+import asyncio
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.contract.records import EncounterRecord
+from firmware_protocol.message_codec import EncounterFields
+from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from gateway.clocks import ClockBook
+from gateway.encounter_reports import EncounterReports
+from gateway.health import Health
+from gateway.issuer import RecordIssuer
+from gateway.journal import Journal
+from gateway.journal_file import JournalWrite
+from gateway.nodes import NodeBook
+
+_SENT_MS = 1_000_000
+
+_entries = st.tuples(
+    st.sampled_from([2, 3]),
+    st.integers(0, 8).map(lambda step: _SENT_MS - 900_000 + step * 1_000),
+    st.sampled_from([500, 1_500]),
+    st.integers(-90, -40),
+    st.booleans(),
+    st.none(),
+)
+_steps = st.lists(st.one_of(_entries, st.sampled_from(["begin", "forget", "commit"])), max_size=30)
+
+
+class _Side:
+    """One way of taking reports, with a journal of its own."""
+
+    def __init__(self, path: Path) -> None:
+        self.journal = Journal.open(path, health=Health())
+        self.reader = self.journal.reader()
+        self.told: list[EncounterRecord] = []
+        now_ns, nodes, health = time.monotonic_ns(), NodeBook(gateway="g"), Health()
+        self.reports = EncounterReports(
+            issuer=RecordIssuer(gateway="g", journal="j", boot=BootId(1), wall_anchor_ns=self.journal.identity.wall_anchor_ns),
+            reader=self.reader,
+            nodes=nodes,
+            health=health,
+            window_s=100,
+            now_ns=now_ns - 2_000 * NS_PER_S,
+        )
+        self.node, _ = nodes.heard(
+            node=NodeId(1),
+            boot=BootId(1),
+            radio="r",
+            address=ShortAddress(1),
+            rssi_dbm=RssiDbm(-50),
+            lqi=1,
+            sent_ms=Milliseconds(_SENT_MS),
+            now_ns=now_ns,
+            now_wall_ns=Nanoseconds(0),
+        )
+        self.now_ns = now_ns
+        clocks = ClockBook(window_ns=600 * NS_PER_S)
+        self.clock = clocks.observe(node=NodeId(1), boot=BootId(1), sent_ms=Milliseconds(_SENT_MS), received_ns=now_ns)
+
+    def take(self, entry: EncounterFields) -> None:
+        records = self.reports.take([entry], node=self.node, sent_ms=_SENT_MS, clock=self.clock)
+        self.told += records
+        if records:
+            self.journal.append(JournalWrite(records=tuple(records)))
+
+    def close(self) -> None:
+        self.reader.close()
+        self.journal.close()
+
+
+def _facts(records: list[EncounterRecord]) -> list[tuple[object, ...]]:
+    offset_ns = min((record.t_start_ns for record in records), default=0)
+    return [
+        (one.sequence, one.revision, one.node_b, one.t_start_ns - offset_ns, one.t_end_ns - offset_ns, one.is_void, one.is_ongoing)
+        for one in records
+    ]
+
+
+@settings(max_examples=25, deadline=None)
+@given(steps=_steps)
+def test_whatever_is_forgotten_meanwhile_the_same_is_told(steps: list[EncounterFields | str]) -> None:
+    """Reports are older than the window, so each forgetting takes all that is on disk; what is not must stay."""
+
+    async def story(directory: Path) -> None:
+        forgetful, faithful = _Side(directory / "a"), _Side(directory / "b")
+        running = [asyncio.ensure_future(side.journal.run()) for side in (forgetful, faithful)]
+        is_begun: asyncio.Future[None] | None = None
+        for step in steps:
+            if step == "begin":
+                if forgetful.reports.begin_forgetting(now_ns=forgetful.now_ns):
+                    is_begun = forgetful.journal.barrier()
+            elif step == "forget":
+                if is_begun is not None:
+                    await asyncio.shield(is_begun)
+                    forgetful.reports.forget_old()
+                    is_begun = None
+            elif step == "commit":
+                await forgetful.journal.drain()
+            else:
+                assert not isinstance(step, str)
+                forgetful.take(step)
+                faithful.take(step)
+        for side in (forgetful, faithful):
+            await side.journal.drain()
+        assert _facts(forgetful.told) == _facts(faithful.told)
+        for task in running:
+            task.cancel()
+        await asyncio.wait(running)
+        forgetful.close()
+        faithful.close()
+
+    with TemporaryDirectory() as directory:
+        asyncio.run(story(Path(directory)))
+
+
+def test_too_many_encounters_leave_memory_whatever_the_window(tmp_path: Path) -> None:
+    async def story() -> None:
+        side = _Side(tmp_path / "j")
+        for second in range(50):
+            side.take((2, _SENT_MS - 60_000 + second * 1_000, 100, -60, False, None))
+        merger = side.reports._merger
+        assert len(merger) == 50
+        limit_ns = merger.end_of_oldest(20)
+        assert sum(record.t_end_ns < limit_ns for record in side.told) == 30
+        assert merger.end_of_oldest(50) == 0
+        assert merger.forget_before(limit_ns, limit=10), "there are more"
+        assert not merger.forget_before(limit_ns, limit=20)
+        assert len(merger) == 20
+        side.close()
+
+    asyncio.run(story())
