@@ -169,9 +169,8 @@ class Intake:
             is_ours = self._clocks.end_exchange(node=name, boot=boot, token=uplink.token, arrived_ms=uplink.received_ms)
             self._health.count("message.time_sync_reply" if is_ours else "message.time_sync_unexpected")
             return None
-        if (uplink is None or isinstance(uplink, Status)) and self._must_wait(
-            clock, now_ns=message.received_ns, goes_on=header.boot == node.boot
-        ):
+        is_dated = uplink is None or isinstance(uplink, Status)
+        if is_dated and self._must_wait(clock, now_ns=message.received_ns, goes_on=boot == node.boot):
             # Not acknowledged, so it comes again: a second later its times can be trusted.
             self._health.count("message.clock_unknown")
             self._listeners_or_fail().on_unknown_clock()
