@@ -129,7 +129,7 @@ def test_a_late_encounter_is_taken_where_the_journal_cannot_be_read(tmp_path: Pa
         entry = EncounterEntry(
             peer=NodeId(2), start_ms=Milliseconds(1), duration_ms=Milliseconds(5), rssi_dbm=RssiDbm(-60), is_ongoing=False
         )
-        for at_s in (1, 9):  # the second one comes when the clock is no longer waited for
+        for at_s in (1, 70):  # the second one comes when the clock is no longer waited for
             header = UplinkHeader(node=NodeId(1), boot=BootId(1), sequence=0, sent_ms=Milliseconds(1000 * at_s + 60_000))
             message = RadioMessage(
                 radio="r",
