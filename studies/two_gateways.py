@@ -189,7 +189,10 @@ def _get(url: str, path: str) -> Any:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run both, print what came out; 0 where the mapper counted the same encounters, and none is missing or there twice."""
+    """Run both, print what came out; 0 where no encounter is missing or there twice, 1 where one is.
+
+    Two runs count the same but for meetings of a pair that follow each other within what the clocks of that run could tell apart.
+    """
     parser = argparse.ArgumentParser(prog="python -m studies.two_gateways", description=__doc__)
     parser.add_argument("--biobots", type=int, default=120, help="(default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="(default: %(default)s)")
@@ -215,9 +218,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(f"error: {error}", file=sys.stderr)
                 return 1
     print(_report(arms))
-    one, two = arms.values()
-    same = len(one.intervals) == len(two.intervals)
-    return 0 if same and not (two.ledger.missing or two.ledger.doubled) else 1
+    return 1 if any(arm.ledger.missing or arm.ledger.doubled for arm in arms.values()) else 0
 
 
 def _report(arms: dict[str, Outcome]) -> str:
