@@ -81,18 +81,21 @@ class Acknowledger:
                 self._wake.clear()
                 await self._wake.wait()
             now_ns = time.monotonic_ns()
+            busy: set[str] = set()  # one that has no room for the first has none for those behind it
             for node, at_ns in [one for one in self._due_ns.items() if one[1] <= now_ns]:
-                if self._may_go(node, due_ns=at_ns, now_ns=now_ns):
-                    del self._due_ns[node]
-                    self._tell(node)
+                radio = self._sender.radio_of(node)
+                if radio in busy:
+                    continue
+                if radio is not None and not self._may_go(node, radio=radio, due_ns=at_ns, now_ns=now_ns):
+                    busy.add(radio)
+                    continue
+                del self._due_ns[node]
+                self._tell(node)
             earliest_ns = min(self._due_ns.values(), default=now_ns)
             await asyncio.sleep(max(_POLL_S, (earliest_ns - now_ns) / NS_PER_S))
 
-    def _may_go(self, node: NodeId, *, due_ns: int, now_ns: int) -> bool:
+    def _may_go(self, node: NodeId, *, radio: str, due_ns: int, now_ns: int) -> bool:
         """Whether a biobot's radio has room for its acknowledgement, and its pace allows it."""
-        radio = self._sender.radio_of(node)
-        if radio is None:
-            return True
         return self._sender.n_pending(node) < _MAX_PENDING and self._pace.take(radio, due_ns=due_ns, now_ns=now_ns)
 
     def _tell(self, node: NodeId) -> None:

@@ -23,7 +23,7 @@ MAX_AHEAD_MS = 1_000
 """A time this far after the message was sent cannot be; less may come from rounding."""
 
 MAX_IN_MEMORY = 200_000
-"""Encounters that are remembered, whatever the window: about 100 MB."""
+"""Encounters that are remembered, whatever the window: about 160 MB."""
 
 _FORGOTTEN_AT_ONCE = 1_000
 """Encounters that are forgotten in one step of the loop: about a millisecond."""

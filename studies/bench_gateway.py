@@ -126,6 +126,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=30, help="that it lasts; 0: none (default: %(default)g)")
     parser.add_argument("--singles", type=float, default=5e4, help="at full speed in messages of one entry; 0: none (default: %(default)g)")
     parser.add_argument(
+        "--outstanding", type=int, default=12, help="unacknowledged messages of a biobot: fewer on a busy machine (default: %(default)s)"
+    )
+    parser.add_argument(
         "--baseline", type=Path, metavar="TREE", help="a work tree of an earlier commit whose gateway runs beside this one's"
     )
     parser.add_argument("--out", type=Path, help="keep files and logs here (default: a directory that is removed)")
@@ -147,13 +150,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _measure(options: argparse.Namespace, out: Path) -> dict[str, Run]:
     runs: dict[str, Run] = {}
-    full = ["--encounters", str(options.encounters)]
+    closed = ["--outstanding", str(options.outstanding)]
+    full = ["--encounters", str(options.encounters), *closed]
     if options.baseline is not None:
-        few = ["--encounters", str(min(options.encounters, 1e5))]
+        few = ["--encounters", str(min(options.encounters, 1e5)), *closed]
         runs["earlier gateway, full speed"] = run_load(out / "earlier", few, source=options.baseline.resolve())
     runs["full speed"] = run_load(out / "full", full)
     if options.singles:
-        runs["full speed, messages of one entry"] = run_load(out / "singles", ["--encounters", str(options.singles), "--entries", "1"])
+        runs["full speed, messages of one entry"] = run_load(
+            out / "singles", ["--encounters", str(options.singles), "--entries", "1", *closed]
+        )
     if options.seconds:
         steady = ["--encounters", str(options.rate * options.seconds), "--rate", str(options.rate), "--sides", "1"]
         runs[f"{options.rate:g} a second"] = run_load(out / "steady", steady, watches_closely=True)

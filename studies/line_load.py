@@ -27,7 +27,7 @@ from firmware_protocol.envelope import RadioReceived, RadioStatus
 from firmware_protocol.units import NS_PER_S, RssiDbm, ShortAddress
 from simulator.dongles.choice import make_dongle
 from simulator.dongles.interface import Dongle
-from studies.loaded_backpack import LoadedBackpack, Timetable
+from studies.loaded_backpack import OUTSTANDING, LoadedBackpack, Timetable
 
 LINES: Final = ("native/pty", "native/tcp", "xbee/pty", "znp/pty", "canfd/tcp", "native/pty", "xbee/tcp", "znp/tcp")
 """Dialect and kind of line of each dongle."""
@@ -115,12 +115,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--entries", type=int, default=4, choices=(1, 2, 4), help="in each message (default: %(default)s)")
     parser.add_argument("--sides", type=int, default=2, choices=(1, 2), help="how many of the two report a meeting (default: %(default)s)")
     parser.add_argument("--biobots", type=int, default=256, help="behind all dongles together (default: %(default)s)")
+    parser.add_argument(
+        "--outstanding",
+        type=int,
+        default=OUTSTANDING,
+        help="messages of a biobot that wait for acknowledgement, at most (default: %(default)s)",
+    )
     options = parser.parse_args(arguments)
     n_sides = min(options.sides, options.entries)  # a message of one entry has room for one side's
     timetable = Timetable(
         n_biobots=options.biobots, n_entries=options.entries, n_sides=n_sides, n_encounters=int(options.encounters), rate=options.rate
     )
-    load = _Load(directory=options.directory, timetable=timetable)
+    load = _Load(directory=options.directory, timetable=timetable, n_outstanding=options.outstanding)
     say({"ports": load.ports})
     load.run_until_settled()
     say({"settled": True})
@@ -146,12 +152,12 @@ def say(facts: dict[str, Any]) -> None:
 class _Load:
     """All dongles, on one selector."""
 
-    def __init__(self, *, directory: Path, timetable: Timetable) -> None:
+    def __init__(self, *, directory: Path, timetable: Timetable, n_outstanding: int) -> None:
         self._selector = selectors.DefaultSelector()
         self._timetable = timetable
         members: list[dict[int, LoadedBackpack]] = [{} for _ in LINES]
         for node in range(1, timetable.n_biobots + 1):
-            backpack = LoadedBackpack(node=node, eui64=_EUI64 + node, timetable=timetable)
+            backpack = LoadedBackpack(node=node, eui64=_EUI64 + node, timetable=timetable, n_outstanding=n_outstanding)
             members[node % len(LINES)][FIRST_ADDRESS + node] = backpack
         self.dongles = [
             _open_line(line, index=index, directory=directory, backpacks=backpacks)

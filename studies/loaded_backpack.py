@@ -40,7 +40,7 @@ _AGAIN_NS: Final = 700 * NS_PER_MS
 _LEAD: Final = 16
 """Messages that the fastest biobot may be ahead of the slowest one: both sides of a meeting come close to each other."""
 
-_OUTSTANDING: Final = 12
+OUTSTANDING: Final = 12
 """Newest sequence number minus the oldest that is not acknowledged. The protocol allows 30 (WIRE_FORMAT.md §5.1); with that many from each
 of 32 biobots a dongle's queue alone lasts for longer than the second after which they repeat, and what is measured is repetitions."""
 
@@ -135,6 +135,7 @@ class LoadedBackpack:
     node: int
     eui64: int
     timetable: Timetable
+    n_outstanding: int = OUTSTANDING
     n_begun: int = 0
     """Messages of the timetable that it has sent."""
     n_repeats: int = 0
@@ -180,7 +181,7 @@ class LoadedBackpack:
                 return self._payload(number, now_ns)
             self._repeats.popleft()
         oldest = next(iter(self._outstanding), self._sequence)
-        if self._sequence - oldest > _OUTSTANDING:
+        if self._sequence - oldest >= self.n_outstanding:
             return None
         if self._first_words:
             whole = encode_uplink(self._header(0, now_ns), self._first_words[0])
