@@ -169,3 +169,7 @@ class OtherDiagramError(StudyError):
     def __init__(self, *, peer: str, matrix: str, dimension: int) -> None:
         super().__init__(f"{peer} gives other intervals of dimension {dimension} than ours for {matrix}; report it with both versions")
         self.peer = peer
+
+
+class CampaignError(StudyError):
+    """A campaign of faults cannot be run, or not to its end; the message says why and where the logs are."""
