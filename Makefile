@@ -78,6 +78,9 @@ soak: venv  ## hours of radios that fail now and then: does memory grow, do desc
 clocks: venv  ## times of encounters and their bounds against the truth: drift, queues, restarts, lost beacons (half a minute)
 	$(PY) -m studies.clocks $(ARGS)
 
+campaign: venv  ## a whole site lives through 1,000 faults; is every one of 1,000,000 encounters in the store? (an hour; resumable; docs/campaign.md)
+	$(PY) -m studies.campaign $(ARGS)
+
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)
 
@@ -126,6 +129,6 @@ deploy-check: venv  ## check the systemd units and udev rules of deploy/ with sy
 	$(PY) scripts/deploy_check.py
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out bench-live-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out campaign-out bench-live-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 .PHONY: $(shell sed -nE 's/^([a-z-]+):( .*)?$$/\1/p' $(MAKEFILE_LIST))

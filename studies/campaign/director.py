@@ -65,6 +65,7 @@ class Director:
     clocks: WallClocks
     t0_s: float
     outcomes: list[Outcome] = field(default_factory=list)
+    _heads: dict[str, int] = field(default_factory=dict)
     _last_order: int = 0
     _ends: dict[int, asyncio.Future[bool]] = field(default_factory=dict)
     _recoveries: dict[int, asyncio.Future[float]] = field(default_factory=dict)
@@ -83,8 +84,12 @@ class Director:
                 group.create_task(self._play_unit(members))
 
     async def levels(self) -> dict[str, Level]:
-        """Return how far the mapper is with each gateway."""
-        return await asyncio.to_thread(read_levels, {post.name: post.journal for post in self.gateways}, self.mapper.store)
+        """Return how far the mapper is with each gateway; of a journal that cannot be read now, with what was last known of it."""
+        journals = {post.name: (post.disk.window or post.disk.place) / post.journal.name for post in self.gateways}
+        levels = await asyncio.to_thread(read_levels, journals, self.mapper.store, window=self.mapper.disk.window)
+        for name, level in levels.items():
+            self._heads[name] = max(level.head, self._heads.get(name, 0))
+        return {name: Level(head=self._heads[name], watermark=level.watermark) for name, level in levels.items()}
 
     async def _play_unit(self, faults: Sequence[Fault]) -> None:
         for fault in faults:

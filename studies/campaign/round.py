@@ -145,6 +145,10 @@ async def _run(site: Site) -> dict[str, Any]:
         keepers = [group.create_task(service.keep()) for service in site.services]
         for service in [*([router] if router else []), *(post.service for post in posts)]:
             service.start()
+        await wait_until(lambda: all(post.yard.state.get("open") == post.n_lines for post in posts), timeout_s=_READY_S)
+        begins_at_ns = time.monotonic_ns() + NS_PER_S
+        for yard in site.yards:
+            yard.order(do="begin", at_ns=begins_at_ns)
         span_s = plan.n_encounters / plan.rate
         mapper_from_s = 0.5 * span_s if plan.is_mapper_down_half else 0.0
         faults = draw_faults(
@@ -214,7 +218,7 @@ _COUNTS = {Unit.LINE: sum(map(len, DIALECTS)), Unit.GATEWAY: len(DIALECTS), Unit
 async def _open_gateways(site: Site, group: asyncio.TaskGroup) -> list[GatewayPost]:
     """Start the yards, and say how the gateways in front of them are to be run."""
     plan = site.plan
-    t0_ns = time.monotonic_ns() + NS_PER_S
+    t0_ns = time.monotonic_ns()
     posts = []
     for number, dialects in enumerate(DIALECTS):
         name = _HOSTS[number]

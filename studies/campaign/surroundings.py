@@ -146,6 +146,16 @@ class Disk:
                 _run("mount", "-t", "tmpfs", "-o", f"size={self.size}", "tmpfs", str(self.place))
             except (OSError, subprocess.CalledProcessError) as error:
                 self.problem = f"cannot mount: {error}"
+                return
+        window = self.place.with_name("window")
+        window.mkdir(exist_ok=True)
+        _run("mount", "--bind", str(self.place), str(window))
+        _run("mount", "-o", "remount,bind,ro", str(window))
+
+    @property
+    def window(self) -> Path | None:
+        """The same files where nobody can write them: who looks at a database through it can do it no harm. None where there is none."""
+        return None if self.problem else self.place.with_name("window")
 
     def fill(self) -> None:
         """Leave no room, while whoever writes goes on doing so."""
@@ -169,6 +179,7 @@ class Disk:
         """Take it away, with its image."""
         if self.problem is None:
             with contextlib.suppress(subprocess.CalledProcessError):
+                _run("umount", str(self.place.with_name("window")))
                 _run("umount", str(self.place))
                 self.place.with_suffix(".image").unlink(missing_ok=True)
 

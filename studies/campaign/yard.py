@@ -43,6 +43,7 @@ _RESTS_MS = 8_000
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Begin:
     side: MeetingSide
+    end_ns: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +89,7 @@ class Yard:
         self._ledger = ledger
         self._meetings = config.meetings(pace)
         self._next_meeting = 0
+        self._begins_at_ns: int | None = None
         self._stops_at_ns: int | None = None
         self._backpack_config = BackpackConfig(provisional_ms=round(pace.provisional_s * 1000), status_period_ms=20_000)
         self._radio = Radio(seed=config.seed, config=RadioConfig(loss=config.loss))
@@ -139,6 +141,10 @@ class Yard:
         assert home is not None, "everybody has a home from the start"
         return home
 
+    def begin(self, at_ns: int) -> None:
+        """Let the first meeting begin at ``at_ns``, and the others in their order."""
+        self._begins_at_ns = at_ns
+
     def stop(self, at_ns: int) -> None:
         """Let no meeting begin after ``at_ns``; those under way come to their end."""
         self._stops_at_ns = at_ns
@@ -164,7 +170,9 @@ class Yard:
 
     def next_due_ns(self) -> int:
         """Return when ``step`` is to be called at the latest."""
-        dues = [int(self._next_meeting / self._config.rate * NS_PER_S)] if not self.has_stopped else []
+        dues = []
+        if self._begins_at_ns is not None and not self.has_stopped:
+            dues.append(self._begins_at_ns + int(self._next_meeting / self._config.rate * NS_PER_S))
         dues += [self._dues[0][0]] if self._dues else []
         dues += [self._happenings[0][0]] if self._happenings else []
         others = [self._air.next_arrival_ns(), *(dongle.next_deadline_ns() for dongle in self.dongles)]
@@ -237,17 +245,19 @@ class Yard:
         heapq.heappush(self._happenings, (at_ns, next(self._order), happening))
 
     def _schedule(self, now_ns: int) -> None:
-        if self.has_stopped:
+        zero_ns = self._begins_at_ns
+        if zero_ns is None or self.has_stopped:
             return
-        for following, sides in self._meetings.due(self._next_meeting, until_s=now_ns / NS_PER_S + _AHEAD_S):
+        for following, sides in self._meetings.due(self._next_meeting, until_s=(now_ns - zero_ns) / NS_PER_S + _AHEAD_S):
             self._next_meeting = following
             for side in sides:
                 if side.node in self._lives:
-                    self._happen(round(side.start_s * NS_PER_S), _Begin(side=side))
+                    end_ns = zero_ns + round(side.end_s * NS_PER_S)
+                    self._happen(zero_ns + round(side.start_s * NS_PER_S), _Begin(side=side, end_ns=end_ns))
 
     def _live_through(self, happening: _Happening, *, at_ns: int, now_ns: int) -> None:
         match happening:
-            case _Begin(side=side):
+            case _Begin(side=side, end_ns=end_ns):
                 life = self._lives[side.node]
                 backpack = life.backpack
                 is_over = self._stops_at_ns is not None and at_ns > self._stops_at_ns
@@ -261,7 +271,7 @@ class Yard:
                     return
                 backpack.begin_encounter(side.peer, start_ms=life.clock.read_ms(at_ns), rssi_dbm=side.rssi_dbm)
                 self.n_meetings += side.is_first
-                self._happen(round(side.end_s * NS_PER_S), _End(side=side, boot=backpack.boot))
+                self._happen(end_ns, _End(side=side, boot=backpack.boot))
                 self._plan(side.node)
             case _End(side=side, boot=boot):
                 life = self._lives[side.node]

@@ -84,10 +84,17 @@ class YardProcess:
         self._look_at_watches()
         if now_ns >= self._state_at_ns:
             self._state_at_ns = now_ns + _STATE_PERIOD_NS
-            _tell({
-                "meetings": self.yard.n_meetings, "left_out": self.yard.n_left_out, "waiting": self.yard.n_waiting,
-                "dropped": self.yard.n_dropped, "is_settled": self.yard.is_settled, "behind_s": self._behind_s(now_ns),
-            })  # fmt: skip
+            _tell(
+                {
+                    "meetings": self.yard.n_meetings,
+                    "open": sum(one.is_open for one in self.carriers),
+                    "left_out": self.yard.n_left_out,
+                    "waiting": self.yard.n_waiting,
+                    "dropped": self.yard.n_dropped,
+                    "is_settled": self.yard.is_settled,
+                    "behind_s": self._behind_s(now_ns),
+                }
+            )
 
     def _behind_s(self, now_ns: int) -> float:
         return round(max(0, now_ns - self.yard.next_due_ns()) / NS_PER_S, 2)
@@ -111,7 +118,9 @@ class YardProcess:
             order = json.loads(line)
             if order["do"] == "quit":
                 break
-            if order["do"] == "stop":
+            if order["do"] == "begin":
+                self.yard.begin(order["at_ns"] - self.config.t0_ns)
+            elif order["do"] == "stop":
                 self.yard.stop(self._now_ns())
             else:
                 group.create_task(self._obey(order))
