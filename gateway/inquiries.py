@@ -30,6 +30,10 @@ _NEVER = (-1, 0)
 _MAX_PENDING = 4
 """Nothing is asked while this many payloads are under way at the radio: a request that waits in a queue says less about the clock."""
 
+_MAX_URGENT_PENDING = 12
+"""The same where the clock is not known at all, and what its backpack reports waits for that: more than acknowledgements ever fill
+(eight), or a radio that is busy with them would never ask, and its biobots would wait for ever."""
+
 
 class Inquirer:
     """Sends hello and time sync requests; ``run`` is its task."""
@@ -59,7 +63,7 @@ class Inquirer:
             for node in sorted(self._nodes.all(), key=lambda node: self._asked_time.get(node.node, _NEVER)[1]):
                 is_settled = self._clocks.is_settled(node=node.node, boot=node.boot)
                 lacks_nothing &= is_settled and node.is_introduced
-                if self._sender.n_pending(node.node) >= _MAX_PENDING:
+                if self._sender.n_pending(node.node) >= (_MAX_PENDING if is_settled else _MAX_URGENT_PENDING):
                     continue
                 if not node.last_heard_ns:
                     self._rouse(node, now_ns)

@@ -104,6 +104,7 @@ class Site:
         """Return what cannot be done on this machine, and why."""
         problems = {"cutting networks": self.network.problem, "setting wall clocks": self.clocks.problem}
         problems["filling disks"] = next((disk.problem for disk in self.disks if disk.problem), None)
+        problems["killing routers"] = None if HAS_ROUTER else "this gateway has no router"
         return {what: why for what, why in problems.items() if why}
 
     def close(self) -> None:
