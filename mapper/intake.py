@@ -94,8 +94,10 @@ class Intake:
                     self._fleet.events.append(arrival)
                     has_news = True
                 case Presence():
-                    _log.info("gateway.on_the_bus" if arrival.is_alive else "gateway.left_the_bus", gateway=arrival.gateway)
-                    self._fleet.take_presence(gateway=arrival.gateway, is_alive=arrival.is_alive, now_ns=time.monotonic_ns())
+                    token, verb = arrival.token, "on_the_bus" if arrival.is_alive else "left_the_bus"
+                    facts = {"name": token.name} if token.radio is None else {"gateway": token.name, "radio": token.radio}
+                    _log.info(f"{token.kind.name.lower()}.{verb}", **facts)
+                    self._fleet.take_presence(token, is_alive=arrival.is_alive, now_ns=time.monotonic_ns())
                     has_news = True
         if has_news:
             self._changes.bump(Topic.BIOBOTS)
