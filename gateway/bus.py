@@ -139,7 +139,7 @@ class Bus:
 
     def n_links(self) -> int:
         """Return how many other sessions are connected now."""
-        return len(self._session.info.peers_zid()) + len(self._session.info.routers_zid())
+        return len(self._session.info.transports())
 
     def start(
         self,

@@ -139,12 +139,9 @@ def _set_link(role: str, state: str) -> Callable[[Network], None]:
     return lambda _network: _ip("-n", _name("bridge"), "link", "set", f"to-{role}"[:15], state)
 
 
-def _filter(role: str, verb: str) -> Callable[[Network], None]:
-    def act(_network: Network) -> None:
-        for chain in ("INPUT", "OUTPUT"):
-            _run("ip", "netns", "exec", _name(role), "iptables", verb, chain, "-j", "DROP")
-
-    return act
+def _set_port(role: str, *state: str) -> Callable[[Network], None]:
+    """Take a port off the bridge, or put it back: both ends keep their carrier, and packets vanish without a word."""
+    return lambda _network: _ip("-n", _name("bridge"), "link", "set", f"to-{role}"[:15], *state)
 
 
 FAULTS: Sequence[Fault] = (
@@ -152,8 +149,8 @@ FAULTS: Sequence[Fault] = (
     Fault("publisher's cable pulled", _set_link("publisher", "down"), _set_link("publisher", "up")),
     Fault("subscriber's cable pulled", _set_link("subscriber", "down"), _set_link("subscriber", "up")),
     Fault("router's cable pulled", _set_link("router", "down"), _set_link("router", "up")),
-    Fault("publisher's packets dropped", _filter("publisher", "-A"), _filter("publisher", "-D")),
-    Fault("router's packets dropped", _filter("router", "-A"), _filter("router", "-D")),
+    Fault("publisher's packets vanish", _set_port("publisher", "nomaster"), _set_port("publisher", "master", "br0")),
+    Fault("router's packets vanish", _set_port("router", "nomaster"), _set_port("router", "master", "br0")),
 )
 
 
