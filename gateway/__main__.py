@@ -7,7 +7,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError, ProtocolError
-from gateway.commands import asking, check_radio, config, configure, journal, lines, pcap, ports, run, status
+from gateway.commands import asking, certs, check_radio, config, configure, journal, lines, pcap, ports, router, run, status
 from gateway.commands.outcome import FAILED, USAGE, complain
 from gateway.errors import GatewayError, TransportSpecError
 
@@ -27,6 +27,8 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
         status.status,
     ),
     "config": ("print a configuration file of all keys with their defaults, or its schema", config.add_arguments, config.config),
+    "router": ("carry messages between gateways, mappers and operators of several machines", router.add_arguments, router.router),
+    "certs": ("make and look after the certificates of a site", certs.add_arguments, certs.certs),
     "configure": (
         "set the network of a native or CAN coordinator whose port no gateway holds",
         configure.add_arguments,

@@ -1,4 +1,4 @@
-"""Everything the gateway says and hears on Zenoh; the only file here that imports it (CONTRACT.md).
+"""Everything the gateway says and hears on Zenoh (CONTRACT.md).
 
 Zenoh calls back on threads of its own: callbacks only append to a bounded queue and wake the loop once. Puts come from one
 thread, so a subscriber that is stuck blocks that thread alone; what overflows its queue is dropped and counted, since the journal
@@ -6,20 +6,20 @@ has it and readers fill gaps from the history. Answers to commands and history q
 """
 
 import asyncio
-import json
 import queue
 import sqlite3
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
 import zenoh
 import zenoh.ext
 
+from firmware_protocol.contract.access import Role, access_control
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
+from firmware_protocol.contract.presence import Kind, build_token_key
 from firmware_protocol.contract.records import (
     CommandStage,
     GatewayEvent,
@@ -35,12 +35,14 @@ from firmware_protocol.contract.records import (
     encode_record,
 )
 from firmware_protocol.errors import KeyExpressionError, RecordError
+from gateway.bus_session import ConnectionWatch, open_service
 from gateway.config import GatewayConfig
-from gateway.errors import BusError, CommandError
+from gateway.errors import BusError
 from gateway.health import Health
 from gateway.journal_file import Committed, JournalReader
 from gateway.log import EventLog
 from gateway.record_batches import batches_of, history_batches
+from gateway.tls_files import check_tls_files, read_roster
 
 _log = EventLog(__name__)
 
@@ -57,24 +59,7 @@ _MAX_STOPS = 4096
 
 _MAX_HISTORY_QUERIES = 16
 _MAX_WATERMARKS = 64
-_DISCOVERY_S = 3.0
 _NAME_CHECK_S = 1.5
-_STATUS_POLL_S = 0.02
-
-_SETTINGS = {
-    "mode": '"peer"',
-    "scouting/multicast/enabled": "false",
-    # Implicit shared memory has lost messages to descheduled receivers (zenoh issue 2628) and gains nothing at these sizes.
-    "transport/shared_memory/enabled": "false",
-    "timestamping/enabled": "true",
-    "transport/link/tx/lease": "2000",
-    "transport/unicast/open_timeout": "2000",
-    "connect/retry": "{period_init_ms: 200, period_max_ms: 4000, period_increase_factor: 2}",
-    "connect/timeout_ms": "-1",
-    "connect/exit_on_failure": "false",
-    "listen/timeout_ms": "0",
-    "listen/exit_on_failure": "true",
-}
 
 
 class CommandAnswer:
@@ -101,8 +86,9 @@ class CommandAnswer:
 class Bus:
     """An open Zenoh session of a gateway."""
 
-    def __init__(self, *, session: zenoh.Session, site: str, gateway: str, health: Health) -> None:
+    def __init__(self, *, session: zenoh.Session, watch: ConnectionWatch, site: str, gateway: str, health: Health) -> None:
         self._session = session
+        self._watch = watch
         self._site = site
         self._gateway = gateway
         self._health = health
@@ -114,6 +100,7 @@ class Bus:
         self._commands: deque[tuple[StimulationRequest, CommandAnswer]] = deque()
         self._watermarks: dict[str, int] = {}
         self._declared: list[zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.LivelinessToken] = []
+        self._radios: dict[str, zenoh.LivelinessToken] = {}
         self._publishers = {
             stream: zenoh.ext.declare_advanced_publisher(
                 session,
@@ -135,17 +122,24 @@ class Bus:
         Raises
         ------
         BusError
-            An endpoint cannot be listened on, or is none; or a gateway of this name is alive at the site already.
+            An endpoint cannot be listened on, or is none; certificates or roster are unfit; or a gateway of this name is alive at the
+            site already.
         """
-        session = open_session(listen=config.listen, connect=config.connect)
+        report = check_tls_files(config.tls, roles=(Role.GATEWAY,), site=config.site, name=config.name)
+        members, problems = ([], ()) if config.roster is None else read_roster(config.roster)
+        if report.problems or problems:
+            raise BusError("; ".join((*report.problems, *problems)))
+        access = None if config.roster is None else access_control(members)
+        session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, access=access)
         if config.connect and _is_taken(session, build_key(site=config.site, stream=Stream.ALIVE, gateway=config.name)):
             session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
             raise BusError(f"a gateway named {config.name!r} is alive at site {config.site!r} already; give this one another --name")
-        return cls(session=session, site=config.site, gateway=config.name, health=health)
+        watch = ConnectionWatch(session, connect=config.connect, tls=config.tls, facts=report.facts, health=health)
+        return cls(session=session, watch=watch, site=config.site, gateway=config.name, health=health)
 
     def n_links(self) -> int:
         """Return how many other sessions are connected now."""
-        return len(self._session.info.peers_zid()) + len(self._session.info.routers_zid())
+        return len(self._session.info.transports())
 
     def start(
         self,
@@ -175,6 +169,15 @@ class Bus:
         self._declared.append(self._session.declare_queryable(history_key, take_history))
         self._declared.append(self._session.liveliness().declare_token(self._key(Stream.ALIVE)))
 
+    @property
+    def missing(self) -> str | None:
+        """Say why nobody is connected who should be, or None."""
+        return self._watch.missing
+
+    def set_radio(self, radio: str, *, is_up: bool) -> None:
+        """Have a radio's liveliness token there while it is up."""
+        self._answers.submit(self._set_radio, radio, is_up=is_up)
+
     def publish_records(self, committed: Committed) -> None:
         """Publish records that are on disk, as they lie there: batches of one kind each."""
         for stream, batch in batches_of(committed, gateway=self._gateway):
@@ -199,6 +202,7 @@ class Bus:
 
     def close(self) -> None:
         """Send what waits, unless it takes long; then close."""
+        self._watch.close()
         for declared in reversed(self._declared):
             declared.undeclare()  # type: ignore[no-untyped-call]  # same
         try:
@@ -212,6 +216,16 @@ class Bus:
 
     def _key(self, stream: Stream) -> str:
         return build_key(site=self._site, stream=stream, gateway=self._gateway)
+
+    def _set_radio(self, radio: str, *, is_up: bool) -> None:
+        try:
+            if is_up and radio not in self._radios:
+                key = build_token_key(site=self._site, kind=Kind.RADIO, name=self._gateway, radio=radio)
+                self._radios[radio] = self._session.liveliness().declare_token(key)
+            elif not is_up and radio in self._radios:
+                self._radios.pop(radio).undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+        except zenoh.ZError as error:
+            _log.warning("bus.radio_untold", radio=radio, reason=str(error))
 
     def _publish_state(self, key: str, state: Struct) -> None:
         self._queue_put(lambda: self._session.put(key, encode_record(state)))
@@ -316,89 +330,6 @@ class Bus:
         self._health.count("bus.refused_queries")
         with query:
             query.reply_err(reason.encode())
-
-
-def send_command(
-    request: StimulationRequest, *, site: str, gateway: str | None, connect: Sequence[str], timeout_s: float
-) -> Iterator[CommandStage]:
-    """Send a command to a gateway and yield its stages as they come; for the command line.
-
-    Parameters
-    ----------
-    gateway
-        Its name, or None where there is only one.
-
-    Raises
-    ------
-    CommandError
-        No gateway, or more than one, answers there, or it cannot read the request.
-    BusError
-        ``connect`` is no endpoint.
-    """
-    with open_session(listen=(), connect=connect) as session:
-        name = _find_gateway(session, site=site, gateway=gateway, connect=connect)
-        key = build_key(site=site, stream=Stream.COMMAND, gateway=name)
-        for reply in session.get(key, payload=encode_record(request), timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE):
-            if reply.ok is not None:
-                yield decode_record(reply.ok.payload.to_bytes(), CommandStage)
-            elif reply.err is not None:
-                raise CommandError(f"gateway {name} answers: {reply.err.payload.to_string()}")
-
-
-def read_status(*, site: str, gateway: str | None, connect: Sequence[str], timeout_s: float) -> GatewayStatus | None:
-    """Return the next status that a gateway publishes, or None where none does in time; for the command line.
-
-    Raises
-    ------
-    BusError
-        ``connect`` is no endpoint.
-    """
-    with open_session(listen=(), connect=connect) as session:
-        channel: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
-        with session.declare_subscriber(build_key(site=site, stream=Stream.STATUS, gateway=gateway or ANY), channel) as subscriber:
-            deadline = time.monotonic() + timeout_s
-            while time.monotonic() < deadline:
-                sample = subscriber.try_recv()
-                if sample is not None:
-                    return decode_record(sample.payload.to_bytes(), GatewayStatus)
-                time.sleep(_STATUS_POLL_S)
-    return None
-
-
-def _find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, connect: Sequence[str]) -> str:
-    pattern = build_key(site=site, stream=Stream.ALIVE, gateway=gateway or ANY)
-    found: queue.Queue[str] = queue.Queue()
-    # A subscriber with history hears of the gateway as soon as the connection stands; a get would return empty before.
-    subscriber = session.liveliness().declare_subscriber(pattern, lambda sample: found.put(str(sample.key_expr)), history=True)
-    try:
-        names = {parse_key(found.get(timeout=_DISCOVERY_S)).gateway}
-        while not found.empty():
-            names.add(parse_key(found.get_nowait()).gateway)
-    except (queue.Empty, KeyExpressionError) as error:
-        who = f"gateway {gateway!r}" if gateway else "no gateway"
-        verb = "is not" if gateway else "is"
-        raise CommandError(
-            f"{who} {verb} alive at site {site!r} on {', '.join(connect)}; is it running, and are site and endpoint right?"
-        ) from error
-    finally:
-        subscriber.undeclare()  # type: ignore[no-untyped-call]  # same
-    if len(names) > 1:
-        raise CommandError(f"there are several gateways ({', '.join(sorted(names))}); name one with --gateway")
-    return names.pop()
-
-
-def open_session(*, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Session:
-    """Open a session as a peer; raises ``BusError`` where an endpoint is none or cannot be listened on."""
-    try:
-        config = zenoh.Config()
-        for key, value in _SETTINGS.items():
-            config.insert_json5(key, value)
-        config.insert_json5("listen/endpoints", json.dumps(list(listen)))
-        config.insert_json5("connect/endpoints", json.dumps(list(connect)))
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        reason = str(error).split(" at /")[0]  # Zenoh appends its own source locations
-        raise BusError(f"Zenoh cannot listen on {list(listen)} and connect to {list(connect)}: {reason}") from error
 
 
 def _is_taken(session: zenoh.Session, key: str) -> bool:

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from firmware_protocol.contract.sessions import TlsTable
 from firmware_protocol.messages import OWN_CHANNEL
 
 _Seconds = Annotated[float, msgspec.Meta(gt=0, le=86_400)]
@@ -233,11 +234,13 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         The journal's file; made when it is not there.
     listen, connect
         Zenoh endpoints, such as ``tcp/127.0.0.1:7447``.
+    roster
+        Whom the gateway heeds where it listens itself: the ``roster.txt`` of `biobot-gateway certs`. None: whoever connects.
     log_level
         DEBUG, INFO, WARNING or ERROR.
     log_format
         text, json, or auto: text on a terminal, else one JSON object a line.
-    link, encounters, clocks, stimulation, backpacks, mission, recording, retention, monitor
+    link, encounters, clocks, stimulation, backpacks, mission, recording, retention, monitor, tls
         Tables of their own.
     """
 
@@ -247,6 +250,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     journal: str = "biobot-gateway.sqlite"
     listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
     connect: tuple[str, ...] = ()
+    roster: str | None = None
     log_level: Annotated[str, msgspec.Meta(pattern="^(DEBUG|INFO|WARNING|ERROR)$")] = "INFO"
     log_format: Literal["auto", "text", "json"] = "auto"
     link: LinkTable = LinkTable()
@@ -258,3 +262,4 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     recording: RecordingTable = RecordingTable()
     retention: RetentionTable = RetentionTable()
     monitor: MonitorTable = MonitorTable()
+    tls: TlsTable = TlsTable()

@@ -6,14 +6,17 @@ whether files can be where they are wanted. Nothing is made or opened.
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from firmware_protocol.configuration import Unfit, load_configuration
+from firmware_protocol.contract.access import Role
 from firmware_protocol.contract.keys import check_name
+from firmware_protocol.contract.sessions import tls_problems
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
 from firmware_protocol.messages import OWN_CHANNEL
 from gateway.config import GatewayConfig, StimulationTable, WaveformName
+from gateway.tls_files import check_tls_files, read_roster
 from gateway.transports.spec import port_problems
 
 ENVIRONMENT_PREFIX = "BIOBOT_GATEWAY"
@@ -30,6 +33,7 @@ def load_gateway_config(
     flags: Mapping[str, object] | None = None,
     flag_names: Mapping[str, str] | None = None,
     needs_radio: bool = True,
+    roles: Sequence[Role] = (Role.GATEWAY,),
 ) -> GatewayConfig:
     """Build the configuration from its four sources and check what types cannot say.
 
@@ -39,6 +43,8 @@ def load_gateway_config(
         See ``load_configuration``.
     needs_radio
         Whether a configuration that names no radio is a fault.
+    roles
+        What the certificate must be for; a gateway's must have its name too.
 
     Raises
     ------
@@ -56,6 +62,7 @@ def load_gateway_config(
         yield from _name_problems(config)
         yield from _port_problems(config, needs_radio=needs_radio)
         yield from _endpoint_problems(config)
+        yield from _tls_problems(config, roles)
         yield from _place_problems(config)
         yield from _monitor_problems(config)
         yield from _pulse_problems(config.stimulation)
@@ -104,6 +111,16 @@ def _endpoint_problems(config: GatewayConfig) -> Iterator[Unfit]:
             if not slash or not address or link not in _LINKS:
                 wanted = f"must be LINK/ADDRESS with one of the links {', '.join(_LINKS)}, such as tcp/127.0.0.1:7447"
                 yield Unfit(keys=(key,), reason=f"{key}: endpoint {endpoint!r} {wanted}")
+
+
+def _tls_problems(config: GatewayConfig, roles: Sequence[Role]) -> Iterator[Unfit]:
+    for reason in tls_problems(config.tls, listen=config.listen, connect=config.connect):
+        yield Unfit(keys=("tls.ca", "tls.certificate", "tls.key", "listen", "connect"), reason=reason)
+    name = config.name if Role.GATEWAY in roles else None
+    for reason in check_tls_files(config.tls, roles=roles, site=config.site, name=name).problems:
+        yield Unfit(keys=("tls.ca", "tls.certificate", "tls.key"), reason=reason)
+    for reason in () if config.roster is None else read_roster(config.roster)[1]:
+        yield Unfit(keys=("roster",), reason=reason)
 
 
 def _place_problems(config: GatewayConfig) -> Iterator[Unfit]:

@@ -119,6 +119,15 @@ class RecordingError(GatewayError):
         self.reason = reason
 
 
+class CertificateError(GatewayError):
+    """A file of the authority or of a certificate cannot be made, read or used."""
+
+    def __init__(self, *, path: str, reason: str, advice: str) -> None:
+        super().__init__(f"{path}: {reason}; {advice}")
+        self.path = path
+        self.reason = reason
+
+
 class BusError(GatewayError):
     """Zenoh cannot be opened as configured."""
 

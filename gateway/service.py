@@ -247,6 +247,7 @@ class Service:
         task.add_done_callback(self._command_tasks.discard)
 
     def _on_radio_state(self, bus: Bus, radio: str, state: RadioState, reason: str) -> None:
+        bus.set_radio(radio, is_up=state is RadioState.UP)
         level = "info" if state is RadioState.UP else "warning"
         self._publish_event(bus, level, f"radio.{state.value}", {"radio": radio, "reason": reason})
 

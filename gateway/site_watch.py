@@ -12,8 +12,9 @@ import zenoh
 
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
 from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, decode_record
+from firmware_protocol.contract.sessions import TlsTable
 from firmware_protocol.errors import KeyExpressionError, RecordError
-from gateway.bus import open_session
+from gateway.bus_session import open_service
 from gateway.site_view import Arrival, Presence
 
 _MAX_WAITING = 1024
@@ -42,7 +43,7 @@ class SiteWatch:
         ]
 
     @classmethod
-    def open(cls, *, site: str, gateway: str | None, connect: Sequence[str]) -> Self:
+    def open(cls, *, site: str, gateway: str | None, connect: Sequence[str], tls: TlsTable) -> Self:
         """Listen from now on; a gateway or router that is not there yet is connected to when it comes.
 
         Raises
@@ -50,12 +51,12 @@ class SiteWatch:
         BusError
             ``connect`` is no endpoint.
         """
-        return cls(open_session(listen=(), connect=connect), site=site, gateway=gateway)
+        return cls(open_service(listen=(), connect=connect, tls=tls), site=site, gateway=gateway)
 
     @property
     def is_connected(self) -> bool:
         """Whether any gateway or router is connected."""
-        return bool(self._session.info.peers_zid() or self._session.info.routers_zid())
+        return bool(self._session.info.transports())
 
     def take(self) -> list[Arrival]:
         """Return what came in since the last call, in order."""

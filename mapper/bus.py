@@ -16,6 +16,7 @@ import zenoh
 import zenoh.ext
 
 from firmware_protocol.contract.keys import ANY, Key, Stream, build_key, parse_key
+from firmware_protocol.contract.presence import Kind, Token, build_token_key, parse_token_key
 from firmware_protocol.contract.records import (
     CommandStage,
     GatewayEvent,
@@ -29,6 +30,7 @@ from firmware_protocol.contract.records import (
     decode_record,
     encode_record,
 )
+from firmware_protocol.contract.sessions import ROUTER, TlsTable, session_settings
 from firmware_protocol.errors import KeyExpressionError, RecordError
 from mapper.errors import BusError, QueryError
 from mapper.log import EventLog
@@ -46,9 +48,9 @@ _JOURNALED: Final = (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Presence:
-    """A gateway came to the bus, or left it."""
+    """A gateway, one of its radios or a mapper came to the bus, or left it."""
 
-    gateway: str
+    token: Token
     is_alive: bool
 
 
@@ -74,8 +76,10 @@ class Bus:
         self._has_arrivals = asyncio.Event()
 
     @classmethod
-    async def open(cls, *, site: str, connect: tuple[str, ...], listen: tuple[str, ...]) -> Self:
-        """Join the bus as a peer; gateways and routers that are not there yet are connected to when they come.
+    async def open(
+        cls, *, site: str, connect: tuple[str, ...], listen: tuple[str, ...], tls: TlsTable | None = None, name: str = "mapper1"
+    ) -> Self:
+        """Join the bus; gateways and routers that are not there yet are connected to when they come.
 
         Raises
         ------
@@ -84,9 +88,9 @@ class Bus:
         """
         bus = cls(site=site, loop=asyncio.get_running_loop())
         try:
-            config = _session_config(connect=connect, listen=listen)
+            config = _session_config(connect=connect, listen=listen, tls=tls or TlsTable())
             bus._session = await asyncio.to_thread(zenoh.open, config)
-            await asyncio.to_thread(bus._declare)
+            await asyncio.to_thread(bus._declare, name)
         except zenoh.ZError as error:
             raise BusError(
                 reason=f"Zenoh refuses connect={list(connect)}, listen={list(listen)}: {_first_sentence(error)}",
@@ -101,8 +105,7 @@ class Bus:
     @property
     def is_connected(self) -> bool:
         """Say whether any gateway or router is connected."""
-        info = self._session.info
-        return bool(info.peers_zid() or info.routers_zid())
+        return bool(self._session.info.transports())
 
     async def receive(self) -> list[Arrival]:
         """Wait until something came in, and return all of it in order of arrival; what cannot be meant is counted and left out."""
@@ -192,7 +195,7 @@ class Bus:
         except zenoh.ZError as error:
             raise QueryError(key=key, reason=_first_sentence(error), is_timeout=False) from error
 
-    def _declare(self) -> None:
+    def _declare(self, name: str) -> None:
         def pattern(stream: Stream, *, node: str | None = None) -> str:
             return build_key(site=self._site, stream=stream, gateway=ANY, node=node)
 
@@ -209,7 +212,15 @@ class Bus:
             )
         for key in (pattern(Stream.NEIGHBOURS, node=ANY), pattern(Stream.EVENTS)):
             self._declared.append(self._session.declare_subscriber(key, self._on_sample))
-        self._declared.append(self._session.liveliness().declare_subscriber(pattern(Stream.ALIVE), self._on_presence, history=True))
+        seen = (
+            build_token_key(site=self._site, kind=Kind.GATEWAY, name=ANY),
+            build_token_key(site=self._site, kind=Kind.RADIO, name=ANY, radio=ANY),
+            build_token_key(site=self._site, kind=Kind.MAPPER, name=ANY),
+        )
+        for key in seen:
+            self._declared.append(self._session.liveliness().declare_subscriber(key, self._on_presence, history=True))
+        own = build_token_key(site=self._site, kind=Kind.MAPPER, name=name)
+        self._declared.append(self._session.liveliness().declare_token(own))
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
@@ -234,9 +245,9 @@ class Bus:
 
 def _decode(key_text: str, payload: bytes | bool) -> Arrival | None:  # noqa: FBT001  # see Bus._push
     try:
-        key = parse_key(key_text)
         if isinstance(payload, bool):
-            return Presence(gateway=key.gateway, is_alive=payload)
+            return Presence(token=parse_token_key(key_text), is_alive=payload)
+        key = parse_key(key_text)
         arrival = _decode_payload(key, payload)
     except (KeyExpressionError, RecordError) as error:
         _log.debug("bus.unfit", key=key_text, reason=str(error))
@@ -259,23 +270,9 @@ def _decode_payload(key: Key, payload: bytes) -> RecordBatch | GatewayStatus | N
             return decode_record(payload, RecordBatch)
 
 
-def _session_config(*, connect: tuple[str, ...], listen: tuple[str, ...]) -> zenoh.Config:
-    # A peer starts without a router and connects later; a client would wait for it.
+def _session_config(*, connect: tuple[str, ...], listen: tuple[str, ...], tls: TlsTable) -> zenoh.Config:
     config = zenoh.Config()
-    settings: dict[str, object] = {
-        "mode": "peer",
-        "listen/endpoints": list(listen),
-        "connect/endpoints": list(connect),
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
-        "connect/retry": {"period_init_ms": 200, "period_max_ms": 4000, "period_increase_factor": 2},
-        "scouting/multicast/enabled": False,
-        "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": 2000,
-        "transport/unicast/open_timeout": 2000,
-        "timestamping/enabled": True,
-    }
-    for name, value in settings.items():
+    for name, value in session_settings(mode=ROUTER, listen=listen, connect=connect, tls=tls).items():
         config.insert_json5(name, json.dumps(value))
     return config
 

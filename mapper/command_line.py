@@ -73,11 +73,18 @@ def _check_configuration(args: argparse.Namespace) -> int:
     from mapper.feasibility_report import check_given  # noqa: PLC0415  # see _run
     from mapper.kernels import choose_kernels  # noqa: PLC0415  # see _run
     from mapper.time_limits import make_limits  # noqa: PLC0415  # see _run
+    from mapper.tls_files import check_tls_files  # noqa: PLC0415  # see _run
 
     flags = _recipe_flags(args)
     if args.command == "serve":
         flags |= {f"serve.{name}": getattr(args, name, None) for name in ServiceConfig.__struct_fields__}
-    checks: list[Callable[[], object]] = [lambda: load_mapper_config(args.config, environment=os.environ, flags=flags), choose_kernels]
+
+    def check_files() -> None:
+        problems, _ = check_tls_files(load_mapper_config(args.config, environment=os.environ, flags=flags))
+        if problems:
+            raise ConfigurationError(problems)
+
+    checks: list[Callable[[], object]] = [check_files, choose_kernels]
     if args.command == "run":
         checks.append(lambda: make_limits(window_s=args.window_s, from_s=args.from_s, until_s=args.until_s))
     if args.command == "feasibility":

@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from firmware_protocol.configuration import load_configuration
 from firmware_protocol.contract.keys import check_name
+from firmware_protocol.contract.sessions import TlsTable
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
 from mapper.types import Method, MetricKind, ProfileNorm, Recipe
 
@@ -170,6 +171,7 @@ class MapperConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     recipe: RecipeConfig = RecipeConfig()
     serve: ServiceConfig = ServiceConfig()
+    tls: TlsTable = TlsTable()
 
 
 def load_mapper_config(path: Path | None, *, environment: Mapping[str, str], flags: Mapping[str, object]) -> MapperConfig:

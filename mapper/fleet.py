@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from firmware_protocol.contract.presence import Kind, Token
 from firmware_protocol.contract.records import Cause, GatewayEvent, GatewayStatus, Mode, ModeRecord, NeighbourReport, NodeStatus
 from firmware_protocol.units import RSSI_UNKNOWN, NodeId
 
@@ -12,6 +13,7 @@ from firmware_protocol.units import RSSI_UNKNOWN, NodeId
 _SILENT_AFTER_NS = 5_000_000_000
 _MAX_BIOBOTS = 65_536
 _MAX_GATEWAYS = 1_024
+_MAX_RADIOS = 256
 _KEPT_EVENTS = 200
 
 _ValueT = TypeVar("_ValueT")
@@ -45,11 +47,12 @@ class BiobotView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GatewayView:
-    """Last known state of a gateway. ``is_alive``: it is on the bus and has spoken lately."""
+    """Last known state of a gateway. ``is_alive``: it is on the bus and has spoken lately. ``radios_up``: those whose token is there."""
 
     name: str
     is_alive: bool
     status: GatewayStatus | None
+    radios_up: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -57,6 +60,7 @@ class _Gateway:
     has_token: bool = False
     status: GatewayStatus | None = None
     heard_ns: int | None = None
+    radios_up: set[str] = field(default_factory=set)
 
 
 @dataclass(slots=True)
@@ -65,6 +69,7 @@ class Fleet:
 
     events: deque[GatewayEvent] = field(default_factory=lambda: deque(maxlen=_KEPT_EVENTS))
     n_ignored: int = 0
+    _mappers: set[str] = field(default_factory=set)
     _gateways: dict[str, _Gateway] = field(default_factory=dict)
     _nodes: dict[NodeId, NodeStatus] = field(default_factory=dict)
     _modes: dict[NodeId, ModeRecord] = field(default_factory=dict)
@@ -78,10 +83,17 @@ class Fleet:
         if gateway:
             gateway.status, gateway.heard_ns = status, now_ns
 
-    def take_presence(self, *, gateway: str, is_alive: bool, now_ns: int) -> None:
-        """Note that a gateway came to the bus or left it; ``now_ns`` is monotonic."""
-        known = self._gateway(gateway)
-        if known:
+    def take_presence(self, token: Token, *, is_alive: bool, now_ns: int) -> None:
+        """Note that a gateway, a radio or a mapper came to the bus or left it; ``now_ns`` is monotonic."""
+        if token.kind is Kind.MAPPER:
+            self._take_member(self._mappers, token.name, is_there=is_alive, limit=_MAX_GATEWAYS)
+            return
+        known = self._gateway(token.name)
+        if known is None:
+            return
+        if token.radio is not None:
+            self._take_member(known.radios_up, token.radio, is_there=is_alive, limit=_MAX_RADIOS)
+        elif token.kind is Kind.GATEWAY:
             known.has_token = is_alive
             known.heard_ns = now_ns if is_alive else None
 
@@ -119,8 +131,13 @@ class Fleet:
     def gateways(self, *, now_ns: int) -> list[GatewayView]:
         """List all gateways by name."""
         return [
-            GatewayView(name=name, is_alive=_is_alive(known, now_ns), status=known.status) for name, known in sorted(self._gateways.items())
+            GatewayView(name=name, is_alive=_is_alive(known, now_ns), status=known.status, radios_up=tuple(sorted(known.radios_up)))
+            for name, known in sorted(self._gateways.items())
         ]
+
+    def mappers(self) -> list[str]:
+        """List the mappers on the bus by name, this one among them."""
+        return sorted(self._mappers)
 
     def biobots(self, *, now_ns: int) -> list[BiobotView]:
         """List all biobots by id."""
@@ -165,6 +182,14 @@ class Fleet:
 
     def _began_ns(self, record: ModeRecord) -> int:
         return record.t_start_ns + record.wall_anchor_ns + self._shifts_ns.get(record.gateway, 0)
+
+    def _take_member(self, members: set[str], name: str, *, is_there: bool, limit: int) -> None:
+        if not is_there:
+            members.discard(name)
+        elif len(members) < limit or name in members:
+            members.add(name)
+        else:
+            self.n_ignored += 1
 
     def _gateway(self, name: str) -> _Gateway | None:
         if name not in self._gateways and len(self._gateways) >= _MAX_GATEWAYS:

@@ -3,10 +3,12 @@
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Awaitable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
+from firmware_protocol.contract.presence import Kind
 from firmware_protocol.contract.records import (
     GatewayEvent,
     GatewayStatus,
@@ -31,6 +33,8 @@ _CHECK_PERIOD_S: Final = 0.25
 _GRACE_S: Final = 0.5
 _MAX_BACKOFF_S: Final = 10.0
 _ASKED_BEFORE_GIVING_UP: Final = 3
+
+_ResultT = TypeVar("_ResultT")
 
 
 @dataclass(slots=True)
@@ -60,6 +64,7 @@ class Intake:
         self._fleet = fleet
         self._changes = changes
         self._journals: dict[str, _Journal] = {}
+        self._waits: dict[str, asyncio.Timeout] = {}
 
     async def run(self) -> None:
         """Take in what comes, until cancelled."""
@@ -94,8 +99,12 @@ class Intake:
                     self._fleet.events.append(arrival)
                     has_news = True
                 case Presence():
-                    _log.info("gateway.on_the_bus" if arrival.is_alive else "gateway.left_the_bus", gateway=arrival.gateway)
-                    self._fleet.take_presence(gateway=arrival.gateway, is_alive=arrival.is_alive, now_ns=time.monotonic_ns())
+                    token, verb = arrival.token, "on_the_bus" if arrival.is_alive else "left_the_bus"
+                    facts = {"name": token.name} if token.radio is None else {"gateway": token.name, "radio": token.radio}
+                    _log.info(f"{token.kind.name.lower()}.{verb}", **facts)
+                    self._fleet.take_presence(token, is_alive=arrival.is_alive, now_ns=time.monotonic_ns())
+                    if token.kind is Kind.GATEWAY and arrival.is_alive and token.name in self._waits:
+                        self._waits.pop(token.name).reschedule(asyncio.get_running_loop().time())
                     has_news = True
         if has_news:
             self._changes.bump(Topic.BIOBOTS)
@@ -148,7 +157,8 @@ class Intake:
         backoff_s = _CHECK_PERIOD_S
         before, since = None, time.monotonic()
         while True:
-            await asyncio.sleep(backoff_s)
+            with suppress(TimeoutError):
+                await self._unless_back(gateway, asyncio.sleep(backoff_s))
             backoff_s = _CHECK_PERIOD_S
             hole = await self._hole(gateway)
             missing = (self._journals[gateway].name, hole[0]) if hole else None
@@ -179,6 +189,21 @@ class Intake:
                 )
         return hole
 
+    async def _unless_back(self, gateway: str, work: Awaitable[_ResultT]) -> _ResultT:
+        """Wait for something, but not on when the gateway comes back to the bus: an answer that was under way is lost then.
+
+        Raises
+        ------
+        TimeoutError
+            It has come back.
+        """
+        async with asyncio.timeout(None) as limit:
+            self._waits[gateway] = limit
+            try:
+                return await work
+            finally:
+                self._waits.pop(gateway, None)
+
     async def _repair(self, gateway: str) -> float:
         """Ask for history until nothing is missing, or nothing comes; return how long to wait then."""
         journal = self._journals[gateway].name
@@ -188,7 +213,10 @@ class Intake:
         while (hole := await self._expire(gateway)) and self._journals[gateway].name == journal:
             try:
                 # One more than what is missing: if that comes and the missing do not, the gateway does not have them.
-                batches = await self._bus.fetch_history(gateway, from_offset=hole[0], limit=min(_PAGE, hole[1] - hole[0] + 2))
+                asked = self._bus.fetch_history(gateway, from_offset=hole[0], limit=min(_PAGE, hole[1] - hole[0] + 2))
+                batches = await self._unless_back(gateway, asked)
+            except TimeoutError:
+                continue
             except QueryError as error:
                 _log.warning("history.fault", gateway=gateway, reason=str(error))
                 batches = []
@@ -211,7 +239,8 @@ class Intake:
                 continue
             if not batches:
                 return min(wait_s * n_asked_in_vain, _MAX_BACKOFF_S)
-            await asyncio.sleep(wait_s)
+            with suppress(TimeoutError):
+                await self._unless_back(gateway, asyncio.sleep(wait_s))
             wait_s = min(2 * wait_s, _MAX_BACKOFF_S)
         if self.counters["repaired"] > n_before:
             _log.info("history.level", gateway=gateway, records=self.counters["repaired"] - n_before)

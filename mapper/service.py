@@ -14,6 +14,8 @@ from pathlib import Path
 
 import uvicorn
 
+from firmware_protocol.contract.access import parse_identity
+from firmware_protocol.contract.handshakes import CertificateFacts
 from firmware_protocol.errors import ConfigurationError
 from mapper.api.app import create_app
 from mapper.api.event_stream import EventStream
@@ -22,6 +24,7 @@ from mapper.bus import Bus
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
+from mapper.connection import ConnectionWatch
 from mapper.current_map import CurrentMap
 from mapper.errors import EngineMissingError, ListenError, MapError, OutputFileError
 from mapper.fleet import Fleet
@@ -31,12 +34,13 @@ from mapper.log import EventLog, set_up_logging
 from mapper.rips_engines import name_engine
 from mapper.service_manager import ServiceManager
 from mapper.store_thread import StoreThread
+from mapper.tls_files import check_tls_files
 from mapper.types import Method, MetricKind
 from mapper.watermarks import Watermarks
 
 _log = EventLog(__name__)
 
-_FLAGS = ("site", "connect", "listen", "store", "host", "port", "allow_remote", "min_interval_s", "window_s", "log_level")
+_FLAGS = ("site", "name", "connect", "listen", "store", "host", "port", "allow_remote", "min_interval_s", "window_s", "log_level")
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 _GRACEFUL_S = 5
 
@@ -48,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--listen", action="append", metavar="EP", help="Zenoh endpoint to be found at (default: none)")
     parser.add_argument("--site", help="site whose gateways are heard (default: local)")
+    parser.add_argument("--name", help="this mapper's own name on the bus (default: its certificate's, or its store's)")
     parser.add_argument("--store", metavar="FILE", help="keep records in this file (default: in memory, filled again from the gateways)")
     parser.add_argument("--host", help="address of the page (default: 127.0.0.1)")
     parser.add_argument("--port", type=int, help="its port; 0 takes a free one (default: 8080)")
@@ -76,9 +81,12 @@ def main(args: argparse.Namespace) -> int:
         The configuration is unfit, or store, bus or address cannot be had.
     """
     config = load_mapper_config(args.config, environment=os.environ, flags=_flags(args))
+    problems, facts = check_tls_files(config)
+    if problems:
+        raise ConfigurationError(problems)
     set_up_logging(level=config.serve.log_level)
     try:
-        return asyncio.run(_serve(config, url_file=args.url_file))
+        return asyncio.run(_serve(config, url_file=args.url_file, facts=facts))
     except ExceptionGroup as group:
         known = group.subgroup(MapError)
         if known is None:
@@ -105,7 +113,7 @@ def _flags(args: argparse.Namespace) -> dict[str, object]:
     return flags | {f"recipe.{name}": getattr(args, name) for name in ("method", "metric", "speed_mps")}
 
 
-async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
+async def _serve(config: MapperConfig, *, url_file: Path | None, facts: CertificateFacts | None) -> int:
     """Start address, store, bus, tasks, in this order; stop in reverse."""
     serve = config.serve
     stopping = asyncio.Event()
@@ -115,11 +123,14 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
         listener = stack.enter_context(contextlib.closing(_listen(serve)))
         records = await StoreThread.open(Path(serve.store) if serve.store is not None else None)
         stack.push_async_callback(records.aclose)
-        bus = await Bus.open(site=serve.site, connect=serve.connect, listen=serve.listen)
+        certified = None if facts is None else parse_identity(facts.common_name).name
+        name = serve.name or certified or records.name or "mapper"
+        bus = await Bus.open(site=serve.site, connect=serve.connect, listen=serve.listen, tls=config.tls, name=name)
         stack.push_async_callback(bus.aclose)
+        watch = ConnectionWatch(is_connected=lambda: bus.is_connected, connect=serve.connect, tls=config.tls, facts=facts)
         changes, fleet = Changes(), Fleet()
         intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes)
-        watermarks = Watermarks(bus=bus, records=records, name=serve.name or records.name or "mapper")
+        watermarks = Watermarks(bus=bus, records=records, name=name)
         desk = CommandDesk(bus=bus, fleet=fleet, changes=changes)
         current_map = CurrentMap(
             records=records,
@@ -153,7 +164,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None) -> int:
         server = _Server(_server_config(services, stream, serve))
         stack.enter_context(_signals_set(stopping))
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(part.run(), name=type(part).__name__) for part in (intake, desk, current_map, watermarks)]
+            tasks = [group.create_task(part.run(), name=type(part).__name__) for part in (intake, desk, current_map, watermarks, watch)]
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
             group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")
             tasks.append(group.create_task(manager.watch(), name="watchdog"))

@@ -13,6 +13,7 @@ import msgspec
 from firmware_protocol.configuration_text import configuration_keys, type_name
 from firmware_protocol.errors import ConfigurationError
 from gateway.config import GatewayConfig
+from gateway.router_config import RouterConfig
 from mapper.config import MapperConfig
 from mapper.kernels import KERNELS_VARIABLE
 from mapper.types import KernelsKind
@@ -25,7 +26,22 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "biobot-sim": ("simulator", ("run", "resume", "serve", "replay", "render", "scenarios")),
     "biobot-gateway": (
         "gateway",
-        ("run", "list-ports", "probe", "check-radio", "command", "status", "config", "configure", "sniff", "record", "replay", "pcap"),
+        (
+            "run",
+            "list-ports",
+            "probe",
+            "check-radio",
+            "command",
+            "status",
+            "router",
+            "certs",
+            "config",
+            "configure",
+            "sniff",
+            "record",
+            "replay",
+            "pcap",
+        ),
     ),
     "biobot-mapper": ("mapper", ("run", "serve", "feasibility", "warm-up", "config")),
 }
@@ -35,6 +51,7 @@ CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {
     "biobot-sim render": RenderConfig,
     "biobot-sim replay": ReplayConfig,
     "biobot-gateway run": GatewayConfig,
+    "biobot-gateway router": RouterConfig,
     "biobot-mapper": MapperConfig,
 }
 # What stands in no configuration, because it is about how the program is installed here.

@@ -13,7 +13,7 @@ from firmware_protocol.units import NodeId
 
 ANY = "*"
 
-_ROOT = "biobot/@v1"
+ROOT = "biobot/@v1"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,62}\Z")
 
 
@@ -78,7 +78,7 @@ def build_key(*, site: str, stream: Stream, gateway: str, node: NodeId | str | N
     for name, what in ((site, "site"), (gateway, "gateway"), (mapper, "mapper")):
         if name is not None and name != ANY:
             check_name(name, what=what)
-    key = f"{_ROOT}/{site}/{stream.value}/{gateway}"
+    key = f"{ROOT}/{site}/{stream.value}/{gateway}"
     if stream is Stream.WATERMARK or mapper is not None:
         if stream is not Stream.WATERMARK or mapper is None or node is not None:
             raise KeyExpressionError(key=key, reason="a watermark, and nothing else, has a mapper")
@@ -98,10 +98,10 @@ def parse_key(key: str) -> Key:
     KeyExpressionError
         ``key`` is not one of this version's keys, or holds a wildcard.
     """
-    root, _, rest = key.partition(_ROOT + "/")
+    root, _, rest = key.partition(ROOT + "/")
     parts = rest.split("/")
     if root or not 3 <= len(parts) <= 4:
-        raise KeyExpressionError(key=key, reason=f"not of the form {_ROOT}/SITE/STREAM/GATEWAY[/NODE]")
+        raise KeyExpressionError(key=key, reason=f"not of the form {ROOT}/SITE/STREAM/GATEWAY[/NODE]")
     site, stream_name, gateway = parts[:3]
     try:
         stream = Stream(stream_name)

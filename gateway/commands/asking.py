@@ -5,24 +5,35 @@ import json
 import os
 import time
 import uuid
+from collections.abc import Sequence
+from pathlib import Path
 
 import msgspec
 
-from firmware_protocol.contract.keys import check_name
+from firmware_protocol.contract.access import Role
 from firmware_protocol.contract.records import Stage, StimulationAction, StimulationRequest
 from firmware_protocol.errors import ConfigurationError
 from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.commands.outcome import DONE, FAILED, complain
+from gateway.config import GatewayConfig
+from gateway.config_loading import load_gateway_config
 
 _COMMAND_TIMEOUT_S = 30.0
 ENDPOINT = "tcp/127.0.0.1:7447"
+_COMMANDERS = (Role.OPERATOR, Role.MAPPER)
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``status``, which those of ``command`` begin with."""
     parser.add_argument("--gateway", help="its name; needed where a site has several")
-    parser.add_argument("--site", default="local", help="name of the site (default: local)")
+    parser.add_argument("--site", help="name of the site (default: local)")
     parser.add_argument("--connect", action="append", metavar="EP", help=f"Zenoh endpoint (default: {ENDPOINT})")
+    # SUPPRESS: what was given before the command stays when it is not given again after it.
+    help_text = "TOML file with site, connect and [tls]; flags win over it"
+    parser.add_argument("--config", type=Path, metavar="FILE", default=argparse.SUPPRESS, help=help_text)
+    parser.add_argument("--tls-ca", metavar="FILE", help="certificate of the authority, for tls/ endpoints")
+    parser.add_argument("--tls-certificate", metavar="FILE", help="what is shown of oneself")
+    parser.add_argument("--tls-key", metavar="FILE", help="private key to it")
 
 
 def add_command_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,9 +48,9 @@ def add_command_arguments(parser: argparse.ArgumentParser) -> None:
 
 def command(options: argparse.Namespace) -> int:
     """Command a biobot, and print each stage of the answer."""
-    from gateway.bus import send_command  # noqa: PLC0415  # Zenoh loads 33 MB, which --help does not need
+    from gateway.bus_client import send_command  # noqa: PLC0415  # Zenoh loads 33 MB, which --help does not need
 
-    check_name(options.site, what="site")
+    way = way_of(options, roles=_COMMANDERS)
     try:
         request = msgspec.convert(
             {
@@ -63,10 +74,29 @@ def command(options: argparse.Namespace) -> int:
         )
         raise ConfigurationError([f"command: {told}; biobot-gateway command --help tells more"]) from error
     outcome: Stage | None = None
-    connect = options.connect or [ENDPOINT]
-    for stage in send_command(request, site=options.site, gateway=options.gateway, connect=connect, timeout_s=_COMMAND_TIMEOUT_S):
+    stages = send_command(request, site=way.site, gateway=options.gateway, connect=way.connect, tls=way.tls, timeout_s=_COMMAND_TIMEOUT_S)
+    for stage in stages:
         outcome = stage.stage
         print(json.dumps(msgspec.to_builtins(stage)), flush=True)
     if outcome is None:
         complain(f"no answer within {_COMMAND_TIMEOUT_S:g} s; whether the command was obeyed is not known")
     return DONE if outcome is Stage.BIOBOT_CONFIRMED else FAILED
+
+
+def way_of(options: argparse.Namespace, *, roles: Sequence[Role]) -> GatewayConfig:
+    """Return the site, the endpoints and the TLS table to ask with; all else in it is of no concern here."""
+    path: Path | None = getattr(options, "config", None)
+    config = load_gateway_config(
+        toml_path=path,
+        flags={
+            "site": options.site,
+            "connect": options.connect,
+            "listen": [],
+            "tls.ca": options.tls_ca,
+            "tls.certificate": options.tls_certificate,
+            "tls.key": options.tls_key,
+        },
+        needs_radio=False,
+        roles=roles,
+    )
+    return config if config.connect else msgspec.structs.replace(config, connect=(ENDPOINT,))

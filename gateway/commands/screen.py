@@ -2,10 +2,12 @@
 
 import signal
 import time
+from collections.abc import Sequence
 
 from rich.console import Console, RenderableType
 from rich.live import Live
 
+from firmware_protocol.contract.sessions import TlsTable
 from gateway.commands.outcome import DONE, FAILED
 from gateway.site_view import SiteView
 from gateway.site_watch import SiteWatch
@@ -19,13 +21,13 @@ _POLL_S = 0.05
 _REFRESH_S = 0.5
 
 
-def show(*, site: str, gateway: str | None, connect: list[str], is_once: bool) -> int:
+def show(*, site: str, gateway: str | None, connect: Sequence[str], tls: TlsTable, is_once: bool) -> int:
     """Show how the gateways of a site stand; returns the exit status: whether one was heard.
 
     A terminal that cannot move its cursor gets one picture.
     """
     console = Console(highlight=False)
-    watch = SiteWatch.open(site=site, gateway=gateway, connect=connect)
+    watch = SiteWatch.open(site=site, gateway=gateway, connect=connect, tls=tls)
     try:
         screen = Screen(watch=watch, site=site, connect=connect)
         return screen.draw_once(console) if is_once or console.is_dumb_terminal else screen.keep_drawing(console)
@@ -36,7 +38,7 @@ def show(*, site: str, gateway: str | None, connect: list[str], is_once: bool) -
 class Screen:
     """What is heard, and its picture."""
 
-    def __init__(self, *, watch: SiteWatch, site: str, connect: list[str]) -> None:
+    def __init__(self, *, watch: SiteWatch, site: str, connect: Sequence[str]) -> None:
         self._watch = watch
         self._site = site
         self._connect = connect

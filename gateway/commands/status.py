@@ -6,11 +6,13 @@ import sys
 
 import msgspec
 
-from firmware_protocol.contract.keys import check_name
-from gateway.commands.asking import ENDPOINT, add_bus_arguments
+from firmware_protocol.contract.access import Role
+from gateway.commands.asking import add_bus_arguments, way_of
 from gateway.commands.outcome import DONE, FAILED, complain
+from gateway.config import GatewayConfig
 
 _TIMEOUT_S = 5.0
+_VIEWERS = (Role.OPERATOR, Role.MAPPER, Role.VIEWER)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,18 +24,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def status(options: argparse.Namespace) -> int:
     """Tell how the gateways stand."""
-    check_name(options.site, what="site")
+    way = way_of(options, roles=_VIEWERS)
     if options.json or not (options.once or sys.stdout.isatty()):
-        return _print_json(options)
+        return _print_json(way, gateway=options.gateway)
     from gateway.commands.screen import show  # noqa: PLC0415  # rich and Zenoh, 33 MB, which --help does not need
 
-    return show(site=options.site, gateway=options.gateway, connect=options.connect or [ENDPOINT], is_once=options.once)
+    return show(site=way.site, gateway=options.gateway, connect=way.connect, tls=way.tls, is_once=options.once)
 
 
-def _print_json(options: argparse.Namespace) -> int:
-    from gateway.bus import read_status  # noqa: PLC0415  # same
+def _print_json(way: GatewayConfig, *, gateway: str | None) -> int:
+    from gateway.bus_client import read_status  # noqa: PLC0415  # same
 
-    found = read_status(site=options.site, gateway=options.gateway, connect=options.connect or [ENDPOINT], timeout_s=_TIMEOUT_S)
+    found = read_status(site=way.site, gateway=gateway, connect=way.connect, tls=way.tls, timeout_s=_TIMEOUT_S)
     if found is None:
         complain(f"no gateway has told its status within {_TIMEOUT_S:g} s; is it running, and are --site and --connect its own?")
         return FAILED

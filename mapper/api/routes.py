@@ -133,6 +133,7 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
             {
                 "now_wall_ns": time.time_ns(),
                 "gateways": [view_gateway(view) for view in services.fleet.gateways(now_ns=now_ns)],
+                "mappers": services.fleet.mappers(),
                 "biobots": [view_biobot(view) for view in services.fleet.biobots(now_ns=now_ns)],
             }
         )

@@ -86,6 +86,7 @@ class GatewayItem(_Answer):
     name: str
     is_alive: bool
     radios: dict[str, str]
+    radios_up: list[str] = Field(description="Radios that are there right now, by their liveliness")
     counters: dict[str, int]
 
 
@@ -140,6 +141,7 @@ class BiobotList(_Answer):
 
     now_wall_ns: int
     gateways: list[GatewayItem]
+    mappers: list[str] = Field(description="Mappers on the bus, this one among them")
     biobots: list[BiobotItem]
 
 

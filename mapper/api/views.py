@@ -61,6 +61,7 @@ def view_gateway(view: GatewayView) -> dict[str, object]:
         "name": view.name,
         "is_alive": view.is_alive,
         "radios": status.radios if status else {},
+        "radios_up": list(view.radios_up),
         "counters": status.counters if status else {},
     }
 

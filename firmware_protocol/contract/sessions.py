@@ -1,0 +1,128 @@
+"""How every Zenoh session of biobot is set up, as plain values (docs/zenoh.md says what was measured).
+
+Pure: the caller has read the files it names, and opens the session. Gateways, mappers and the router share this, so that both ends of
+a link agree on its timing.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import msgspec
+
+CLIENT: Final = "client"
+"""For what is asked once: opening fails when nobody is there."""
+
+ROUTER: Final = "router"
+"""For services: starts when nobody is there, connects later, for ever; relays, which peers of Zenoh 1.9 and later do not (ADR 0016)."""
+
+SECURE_PREFIXES: Final = ("tls/", "quic/")
+
+LEASE_MS: Final = 2000
+"""A link that is silent for so long is closed; Zenoh's own 10 s makes a cut link heal 9 s later (measured)."""
+
+OPEN_TIMEOUT_MS: Final = 700
+"""An attempt to connect is given up after this. The kernel repeats a lost SYN after 1 s only: a new attempt finds a healed link sooner."""
+
+RETRY_MS: Final = {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 2}
+"""Pause between two attempts: with `OPEN_TIMEOUT_MS`, a healed link is found within 0.9 s."""
+
+_MAX_PORT: Final = 65_535
+
+_COMMON: Final[dict[str, object]] = {
+    "scouting/multicast/enabled": False,
+    # Implicit shared memory has lost messages to descheduled receivers (zenoh issue 2628) and gains nothing at these sizes.
+    "transport/shared_memory/enabled": False,
+    "timestamping/enabled": True,
+    "transport/link/tx/lease": LEASE_MS,
+    "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
+    "connect/retry": RETRY_MS,
+    "connect/exit_on_failure": False,
+    "listen/timeout_ms": 0,
+    "listen/exit_on_failure": True,
+}
+
+
+class TlsTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How ``tls/`` endpoints are secured (docs/zenoh.md); `biobot-gateway certs issue` prints this table.
+
+    Keys
+    ----
+    ca
+        Certificate of the authority whose certificates are believed.
+    certificate, key
+        What this service shows of itself, and the private key to it.
+    verify_name
+        Whether the host in an endpoint must be one that the other side's certificate names.
+    """
+
+    ca: str | None = None
+    certificate: str | None = None
+    key: str | None = None
+    verify_name: bool = True
+
+    @property
+    def is_set(self) -> bool:
+        """Say whether anything is secured."""
+        return self.ca is not None
+
+
+def tls_problems(tls: TlsTable, *, listen: Sequence[str], connect: Sequence[str]) -> list[str]:
+    """Return what is missing between a TLS table and the endpoints, one line each."""
+    problems = []
+    if (tls.certificate is None) != (tls.key is None):
+        have, lack = ("certificate", "key") if tls.key is None else ("key", "certificate")
+        problems.append(f"tls.{have} is given, but tls.{lack} is not; a certificate is of no use without its private key: give both")
+    if tls.certificate is not None and tls.ca is None:
+        problems.append("tls.certificate is given, but tls.ca is not; name the certificate of the authority that the others are known by")
+    if tls.ca is None:
+        problems += [
+            f"endpoint {endpoint!r} is secured, but tls.ca is not given; `biobot-gateway certs issue` makes what it needs"
+            for endpoint in (*listen, *connect)
+            if endpoint.startswith(SECURE_PREFIXES)
+        ]
+    if tls.ca is not None and tls.certificate is None:
+        problems += [
+            f"listening on {endpoint!r} needs tls.certificate and tls.key; `biobot-gateway certs issue` makes them"
+            for endpoint in listen
+            if endpoint.startswith(SECURE_PREFIXES)
+        ]
+    return problems
+
+
+def host_and_port(endpoint: str) -> tuple[str, int] | None:
+    """Return where a ``tcp/`` or ``tls/`` endpoint is, or None for another kind."""
+    protocol, _, rest = endpoint.partition("/")
+    host, _, port = rest.partition("#")[0].partition("?")[0].rpartition(":")
+    if protocol not in {"tcp", "tls"} or not host or not (port.isascii() and port.isdecimal()) or int(port) > _MAX_PORT:
+        return None
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def session_settings(*, mode: str, listen: Sequence[str], connect: Sequence[str], tls: TlsTable, timeout_ms: int = -1) -> dict[str, object]:
+    """Return Zenoh's configuration keys and values for one session.
+
+    Parameters
+    ----------
+    mode
+        `CLIENT` or `ROUTER`.
+    timeout_ms
+        How long a client waits for a router before opening fails; -1: for ever. A router never waits.
+    """
+    settings = {
+        **_COMMON,
+        "mode": mode,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": timeout_ms,
+    }
+    if tls.ca is not None:
+        settings["transport/link/tls/root_ca_certificate"] = tls.ca
+        settings["transport/link/tls/verify_name_on_connect"] = tls.verify_name
+        settings["transport/link/tls/close_link_on_expiration"] = True
+    if tls.certificate is not None:
+        for side in ("listen", "connect"):
+            settings[f"transport/link/tls/{side}_certificate"] = tls.certificate
+            settings[f"transport/link/tls/{side}_private_key"] = tls.key
+        # Without it neither side shows its own certificate as a client nor asks for one as a server.
+        settings["transport/link/tls/enable_mtls"] = True
+    return settings

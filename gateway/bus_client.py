@@ -1,0 +1,86 @@
+"""What the command line asks of a gateway that runs already, over Zenoh."""
+
+import queue
+import time
+from collections.abc import Iterator, Sequence
+
+import zenoh
+
+from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
+from firmware_protocol.contract.records import CommandStage, GatewayStatus, StimulationRequest, decode_record, encode_record
+from firmware_protocol.contract.sessions import TlsTable
+from firmware_protocol.errors import KeyExpressionError
+from gateway.bus_session import open_client
+from gateway.errors import CommandError
+
+_DISCOVERY_S = 3.0
+_STATUS_POLL_S = 0.02
+
+
+def send_command(
+    request: StimulationRequest, *, site: str, gateway: str | None, connect: Sequence[str], timeout_s: float, tls: TlsTable
+) -> Iterator[CommandStage]:
+    """Send a command to a gateway and yield its stages as they come; for the command line.
+
+    Parameters
+    ----------
+    gateway
+        Its name, or None where there is only one.
+
+    Raises
+    ------
+    CommandError
+        No gateway, or more than one, answers there, or it cannot read the request.
+    BusError
+        Nobody can be connected to.
+    """
+    with open_client(connect=connect, tls=tls) as session:
+        name = _find_gateway(session, site=site, gateway=gateway, connect=connect)
+        key = build_key(site=site, stream=Stream.COMMAND, gateway=name)
+        for reply in session.get(key, payload=encode_record(request), timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE):
+            if reply.ok is not None:
+                yield decode_record(reply.ok.payload.to_bytes(), CommandStage)
+            elif reply.err is not None:
+                raise CommandError(f"gateway {name} answers: {reply.err.payload.to_string()}")
+
+
+def read_status(*, site: str, gateway: str | None, connect: Sequence[str], timeout_s: float, tls: TlsTable) -> GatewayStatus | None:
+    """Return the next status that a gateway publishes, or None where none does in time; for the command line.
+
+    Raises
+    ------
+    BusError
+        Nobody can be connected to.
+    """
+    with open_client(connect=connect, tls=tls) as session:
+        channel: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
+        with session.declare_subscriber(build_key(site=site, stream=Stream.STATUS, gateway=gateway or ANY), channel) as subscriber:
+            deadline = time.monotonic() + timeout_s
+            while time.monotonic() < deadline:
+                sample = subscriber.try_recv()
+                if sample is not None:
+                    return decode_record(sample.payload.to_bytes(), GatewayStatus)
+                time.sleep(_STATUS_POLL_S)
+    return None
+
+
+def _find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, connect: Sequence[str]) -> str:
+    pattern = build_key(site=site, stream=Stream.ALIVE, gateway=gateway or ANY)
+    found: queue.Queue[str] = queue.Queue()
+    # A subscriber with history hears of the gateway as soon as the connection stands; a get would return empty before.
+    subscriber = session.liveliness().declare_subscriber(pattern, lambda sample: found.put(str(sample.key_expr)), history=True)
+    try:
+        names = {parse_key(found.get(timeout=_DISCOVERY_S)).gateway}
+        while not found.empty():
+            names.add(parse_key(found.get_nowait()).gateway)
+    except (queue.Empty, KeyExpressionError) as error:
+        who = f"gateway {gateway!r}" if gateway else "no gateway"
+        verb = "is not" if gateway else "is"
+        raise CommandError(
+            f"{who} {verb} alive at site {site!r} on {', '.join(connect)}; is it running, and are site and endpoint right?"
+        ) from error
+    finally:
+        subscriber.undeclare()  # type: ignore[no-untyped-call]  # same
+    if len(names) > 1:
+        raise CommandError(f"there are several gateways ({', '.join(sorted(names))}); name one with --gateway")
+    return names.pop()

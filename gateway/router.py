@@ -1,0 +1,153 @@
+"""A Zenoh router as a service: carries many gateways, mappers and operators of many sites; secured, and heeding a roster alone."""
+
+import queue
+import signal
+from enum import Enum
+from types import FrameType
+
+import zenoh
+
+from firmware_protocol.contract.access import Identity, access_control, parse_identity
+from firmware_protocol.contract.sessions import SECURE_PREFIXES
+from firmware_protocol.errors import KeyExpressionError
+from gateway.bus_session import ConnectionWatch, open_service
+from gateway.errors import BusError
+from gateway.health import Health
+from gateway.log import EventLog
+from gateway.router_config import RouterConfig
+from gateway.tls_files import check_tls_files, read_roster
+from gateway.zenoh_log import capture_zenoh_log
+
+_log = EventLog(__name__)
+
+_LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+
+
+class _Order(Enum):
+    STOP = "stop"
+    RELOAD = "reload"
+
+
+class Router:
+    """An open router. What happens on it is put into ``happenings`` by Zenoh's threads and by signals, and handled by `run`."""
+
+    def __init__(self, config: RouterConfig) -> None:
+        self._config = config
+        self._health = Health()
+        self._happenings: queue.SimpleQueue[_Order | zenoh.LinkEvent] = queue.SimpleQueue()
+        self._members: list[Identity] = []
+        self._session: zenoh.Session
+        self._watch: ConnectionWatch
+
+    def stop(self) -> None:
+        """Have `run` return; may be called from a signal handler."""
+        self._happenings.put(_Order.STOP)
+
+    def reload(self) -> None:
+        """Read the roster again; may be called from a signal handler."""
+        self._happenings.put(_Order.RELOAD)
+
+    def run(self) -> None:
+        """Carry messages until stopped.
+
+        Raises
+        ------
+        BusError
+            An endpoint cannot be listened on, or is none; the roster is unfit.
+        """
+        self._open(self._read_roster())
+        _log.info(
+            "router.started",
+            listen=", ".join(self._config.listen),
+            connect=", ".join(self._config.connect),
+            members=len(self._members) if self._config.roster is not None else "anybody",
+        )
+        self._warn_of_open_doors()
+        try:
+            while (happening := self._happenings.get()) is not _Order.STOP:
+                if happening is _Order.RELOAD:
+                    self._reload()
+                elif isinstance(happening, zenoh.LinkEvent):
+                    self._tell(happening)
+        finally:
+            self._close()
+        _log.info("router.stopped")
+
+    def _open(self, members: list[Identity]) -> None:
+        config = self._config
+        access = None if config.roster is None else access_control(members)
+        self._session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, access=access)
+        self._members = members
+        facts = check_tls_files(config.tls, roles=()).facts
+        self._watch = ConnectionWatch(self._session, connect=config.connect, tls=config.tls, facts=facts, health=self._health)
+        self._session.info.declare_link_events_listener(self._happenings.put, history=True)
+
+    def _close(self) -> None:
+        self._watch.close()
+        self._session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+
+    def _read_roster(self) -> list[Identity]:
+        if self._config.roster is None:
+            return []
+        members, problems = read_roster(self._config.roster)
+        if problems:
+            raise BusError("; ".join(problems))
+        return members
+
+    def _reload(self) -> None:
+        """Zenoh's access control cannot be changed: the session is closed and opened again, and all connect again within a second."""
+        try:
+            members = self._read_roster()
+        except BusError as error:
+            _log.error("router.roster_unfit", reason=str(error), kept=len(self._members))
+            return
+        if members == self._members:
+            _log.info("router.roster_unchanged", members=len(members))
+            return
+        self._close()
+        self._open(members)
+        _log.info("router.roster_read", members=len(members))
+
+    def _tell(self, event: zenoh.LinkEvent) -> None:
+        link = event.link
+        name = link.auth_identifier or ""
+        facts = {"name": name, "address": link.dst, "zid": str(link.zid)}
+        if event.kind == zenoh.SampleKind.DELETE:
+            _log.info("router.left", **facts)
+            return
+        stranger = self._why_stranger(name)
+        if stranger is None:
+            _log.info("router.joined", **facts)
+        else:
+            self._health.count("router.strangers")
+            _log.warning("router.stranger", **facts, reason=stranger)
+
+    def _why_stranger(self, common_name: str) -> str | None:
+        if self._config.roster is None or common_name in {member.common_name for member in self._members}:
+            return None
+        try:
+            parse_identity(common_name)
+        except KeyExpressionError as error:
+            return f"{error}; everything is denied to it"
+        return f"{common_name} is not on the roster {self._config.roster}; everything is denied to it. Add the line and send SIGHUP"
+
+    def _warn_of_open_doors(self) -> None:
+        for endpoint in self._config.listen:
+            host = endpoint.partition("/")[2].rpartition(":")[0]
+            if not endpoint.startswith(SECURE_PREFIXES) and host not in _LOOPBACK:
+                _log.warning("router.open", endpoint=endpoint, reason="whoever reaches it may do everything; see biobot-gateway certs")
+
+
+def run_router(config: RouterConfig) -> None:
+    """Run a router until SIGTERM or SIGINT; a second one ends the process at once. SIGHUP reads the roster again."""
+    capture_zenoh_log()
+    router = Router(config)
+
+    def on_stop(number: int, _frame: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        router.stop()
+
+    signal.signal(signal.SIGTERM, on_stop)
+    signal.signal(signal.SIGINT, on_stop)
+    signal.signal(signal.SIGHUP, lambda _number, _frame: router.reload())
+    router.run()

@@ -1,0 +1,69 @@
+"""Zenoh's own log, brought into ours: it names why a connection is refused, but repeats it with every attempt, on standard output.
+
+Only for a process whose standard output is nobody's, as the router's: file descriptor 1 becomes a pipe that is read here.
+"""
+
+import os
+import re
+import threading
+import time
+from collections import OrderedDict
+from typing import Final
+
+from gateway.log import EventLog
+
+_log = EventLog(__name__)
+
+_ANSI: Final = re.compile(r"\x1b\[[0-9;]*m")
+_LINE: Final = re.compile(r"\S+\s+(?P<level>WARN|ERROR)\s+.*?(?P<target>zenoh[\w:]*):\s+(?P<text>.*)\Z")
+_NUMBERS: Final = re.compile(r"[0-9a-f]{16,}|\d+")
+_HINT: Final = re.compile(r"\. Hint: increase the system open file limit\.?")  # Zenoh's guess at any failed accept
+_MAX_TEXT: Final = 500
+_MAX_KNOWN: Final = 256
+_QUIET_S: Final = 60.0
+"""A message that was not repeated for so long is told anew when it comes again."""
+
+
+class SaidOnce:
+    """Lets a message pass the first time, and again after it has been quiet for a while; numbers in it make no difference."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[str, float] = OrderedDict()
+
+    def is_new(self, text: str, *, now_s: float) -> bool:
+        """Say whether to tell it; ``now_s`` is monotonic."""
+        key = _NUMBERS.sub("N", text)
+        last_s = self._known.pop(key, None)
+        self._known[key] = now_s
+        if len(self._known) > _MAX_KNOWN:
+            self._known.popitem(last=False)
+        return last_s is None or now_s - last_s >= _QUIET_S
+
+
+def parse_line(line: str) -> tuple[str, str] | None:
+    """Return level and text of a line of Zenoh's log, or None where it is none that a person should see."""
+    match = _LINE.match(_ANSI.sub("", line).strip())
+    if match is None:
+        return None
+    return match["level"], _HINT.sub("", match["text"]).split(" at /", maxsplit=1)[0][:_MAX_TEXT]
+
+
+def capture_zenoh_log() -> None:
+    """Read what this process writes to standard output from now on as Zenoh's log, and tell what is new in it."""
+    read_end, write_end = os.pipe()
+    os.dup2(write_end, 1)
+    os.close(write_end)
+    import zenoh  # noqa: PLC0415  # loads 33 MB, which the command line's --help does not need
+
+    zenoh.init_log_from_env_or("warn")
+    threading.Thread(target=_read, args=(read_end,), name="zenoh-log", daemon=True).start()
+
+
+def _read(descriptor: int) -> None:
+    said = SaidOnce()
+    with os.fdopen(descriptor, encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            parsed = parse_line(line)
+            if parsed is not None and said.is_new(parsed[1], now_s=time.monotonic()):
+                say = _log.error if parsed[0] == "ERROR" else _log.warning
+                say("zenoh", reason=parsed[1])
