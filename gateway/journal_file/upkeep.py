@@ -118,7 +118,8 @@ def give_back(connection: sqlite3.Connection) -> bool:
     n_spare = n_free - max(_SPARE_PAGES, int(n_pages * _SPARE_SHARE))
     if n_spare <= 0:
         return False
-    connection.execute(f"PRAGMA incremental_vacuum({min(n_spare, _PAGES_A_STEP)})").fetchall()
+    # Gives back one page a step of the statement; execute() takes a single step of what returns no columns.
+    connection.executescript(f"PRAGMA incremental_vacuum({min(n_spare, _PAGES_A_STEP)})")
     return True
 
 
