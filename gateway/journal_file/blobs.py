@@ -47,19 +47,6 @@ def pair_needle(node_a: int, node_b: int) -> bytes:
     return pair_key(node_a, node_b).to_bytes(4, "little")
 
 
-def find_pair(pairs: bytes, needle: bytes) -> list[int]:
-    """Return the places of the records whose pair this may be."""
-    places = []
-    at = pairs.find(needle)
-    while at >= 0:
-        if at % 4 == 0:
-            places.append(at // 4)
-            at = pairs.find(needle, at + 4)
-        else:
-            at = pairs.find(needle, at + 1)
-    return places
-
-
 def pack_records(bodies: list[bytes]) -> bytes:
     """Return a segment's records, not compressed yet."""
     return b"".join((len(bodies).to_bytes(4, "little"), _pack_numbers(map(len, bodies)), *bodies))

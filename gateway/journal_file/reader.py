@@ -1,5 +1,6 @@
 """Reading a journal: what is committed, while the gateway goes on writing or not."""
 
+import contextlib
 import sqlite3
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -8,7 +9,7 @@ from pathlib import Path
 
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord, MissionRecord, ModeRecord, decode_journal_record
 from firmware_protocol.units import BootId, NodeId
-from gateway.journal_file.blobs import decompress, find_pair, pair_needle, unpack_records, unpack_reports
+from gateway.journal_file.blobs import decompress, pair_needle, unpack_records, unpack_reports
 from gateway.journal_file.schema import head_offset, oldest_offset
 from gateway.journal_file.segments import MISSION, MODE, RECORDS_COMPRESSED, REPORTS_COMPRESSED
 from gateway.journal_file.writes import AuditEntry, UplinkReport
@@ -16,8 +17,8 @@ from gateway.journal_file.writes import AuditEntry, UplinkReport
 _KEPT_SEGMENTS = 16
 """Unpacked segments that a reader keeps: late reports of one moment ask for the same ones."""
 
-_CONTENT = "s.first_offset, s.segment, s.n_records, s.encoding, s.crc"
-_CONTENTS = "segments s JOIN contents c ON c.segment = s.segment"
+_HEAD = "first_offset, segment, encoding, crc"
+_Head = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,37 +31,41 @@ class RecordPage:
     oldest_offset: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Unpacked:
+    """The records of a segment, and the places of each pair's."""
+
+    bodies: list[bytes]
+    places: dict[bytes, list[int]]
+
+
 class JournalReader:
     """A connection that only reads what is committed."""
 
     def __init__(self, path: Path) -> None:
         self._connection = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=5.0)
         self._connection.execute("PRAGMA query_only = ON")
-        self._unpacked: OrderedDict[tuple[int, int, int], list[bytes]] = OrderedDict()
+        self._unpacked: OrderedDict[_Head, _Unpacked] = OrderedDict()
 
     def read_page(self, *, from_offset: int, limit: int) -> RecordPage:
         """Return up to ``limit`` records from an offset on, or from the oldest that is left."""
         bodies: list[bytes] = []
         connection = self._connection
-        connection.execute("BEGIN")  # one moment of the file: segments are merged and dropped meanwhile
-        try:
+        with self._one_moment():
             head, oldest = head_offset(connection), oldest_offset(connection)
             first_offset = max(from_offset, oldest)
             begin = "SELECT max(first_offset) FROM segments WHERE first_offset <= ? AND n_records > 0"
             (at,) = connection.execute(begin, (first_offset,)).fetchone()
             rows = connection.execute(
-                f"SELECT {_CONTENT}, c.records FROM {_CONTENTS} "  # noqa: S608  # constants of this file
-                "WHERE s.first_offset >= ? AND s.n_records > 0 ORDER BY s.first_offset",
+                f"SELECT {_HEAD} FROM segments WHERE first_offset >= ? AND n_records > 0 ORDER BY first_offset",  # noqa: S608  # a constant
                 (oldest if at is None else at,),
             )
-            for first, segment, _n_records, encoding, crc, records in rows:
-                members = self._unpack(first, segment, encoding, crc, records)
-                bodies += members[max(0, first_offset - first) :][: limit - len(bodies)]
+            for head_of_one in rows:
+                members = self._unpack(head_of_one).bodies
+                bodies += members[max(0, first_offset - head_of_one[0]) :][: limit - len(bodies)]
                 if len(bodies) >= limit:
                     break
             rows.close()
-        finally:
-            connection.execute("COMMIT")
         return RecordPage(first_offset=first_offset, bodies=tuple(bodies), head_offset=head, oldest_offset=oldest)
 
     def read_records(self, *, from_offset: int, limit: int) -> tuple[list[JournalRecord], int]:
@@ -85,38 +90,40 @@ class JournalReader:
         A revision may be shorter than an earlier one by what its ends are known better: who wants the newest ones looks that much further.
         """
         needle = pair_needle(node_a, node_b)
-        rows = self._connection.execute(
-            f"SELECT {_CONTENT}, c.pairs, c.records FROM {_CONTENTS} "  # noqa: S608  # constants of this file
-            "WHERE s.max_end >= ? AND s.min_start <= ? AND instr(c.pairs, ?) ORDER BY s.first_offset",
-            (from_wall_ns, to_wall_ns, needle),
-        ).fetchall()
-        found: list[EncounterRecord] = []
-        for first, segment, _n_records, encoding, crc, pairs, records in rows:
-            places = find_pair(pairs, needle)
-            bodies = self._unpack(first, segment, encoding, crc, records) if places else []
-            for place in places:
-                record = decode_journal_record(bodies[place])
-                if isinstance(record, EncounterRecord) and (record.node_a, record.node_b) == (node_a, node_b):
-                    found.append(record)
-        return [record for record in found if _overlaps(record, from_wall_ns, to_wall_ns)]
+        found: list[JournalRecord] = []
+        with self._one_moment():
+            rows = self._connection.execute(
+                f"SELECT {_HEAD} FROM segments WHERE max_end >= ? AND min_start <= ? ORDER BY first_offset",  # noqa: S608  # a constant
+                (from_wall_ns, to_wall_ns),
+            )
+            for head in rows:
+                if head in self._unpacked or self._may_hold(head, needle):
+                    unpacked = self._unpack(head)
+                    found += [decode_journal_record(unpacked.bodies[place]) for place in unpacked.places.get(needle, ())]
+        encounters = [record for record in found if isinstance(record, EncounterRecord)]
+        return [
+            record
+            for record in encounters
+            if (record.node_a, record.node_b) == (node_a, node_b) and _overlaps(record, from_wall_ns, to_wall_ns)
+        ]
 
     def read_encounters(self, *, from_wall_ns: int, to_wall_ns: int) -> Iterator[EncounterRecord]:
         """Yield all revisions of all encounters that overlap a time, in the order of their offsets."""
-        rows = self._connection.execute(
-            f"SELECT {_CONTENT}, c.records FROM {_CONTENTS} "  # noqa: S608  # constants of this file
-            "WHERE s.max_end >= ? AND s.min_start <= ? ORDER BY s.first_offset",
-            (from_wall_ns, to_wall_ns),
-        )
-        for first, segment, _n_records, encoding, crc, records in rows:
-            for body in self._unpack(first, segment, encoding, crc, records):
-                record = decode_journal_record(body)
-                if isinstance(record, EncounterRecord) and _overlaps(record, from_wall_ns, to_wall_ns):
-                    yield record
+        with self._one_moment():
+            rows = self._connection.execute(
+                f"SELECT {_HEAD} FROM segments WHERE max_end >= ? AND min_start <= ? ORDER BY first_offset",  # noqa: S608  # a constant
+                (from_wall_ns, to_wall_ns),
+            )
+            for head in rows:
+                for body in self._unpack(head).bodies:
+                    record = decode_journal_record(body)
+                    if isinstance(record, EncounterRecord) and _overlaps(record, from_wall_ns, to_wall_ns):
+                        yield record
 
     def read_reports(self) -> Iterator[UplinkReport]:
         """Yield all uplink messages that are left, in the order in which they were committed."""
         rows = self._connection.execute(
-            f"SELECT s.encoding, c.reports FROM {_CONTENTS} "  # noqa: S608  # constants of this file
+            "SELECT s.encoding, c.reports FROM segments s JOIN contents c ON c.segment = s.segment "
             "WHERE s.n_reports > 0 ORDER BY s.first_offset, s.segment"
         )
         for encoding, reports in rows:
@@ -151,17 +158,34 @@ class JournalReader:
         """Close the connection."""
         self._connection.close()
 
-    def _unpack(self, first: int, segment: int, encoding: int, crc: int, records: bytes) -> list[bytes]:
-        key = (first, segment, crc)
-        bodies = self._unpacked.get(key)
-        if bodies is None:
-            bodies = unpack_records(decompress(records, is_compressed=bool(encoding & RECORDS_COMPRESSED)))
-            self._unpacked[key] = bodies
-            if len(self._unpacked) > _KEPT_SEGMENTS:
-                self._unpacked.popitem(last=False)
-        else:
-            self._unpacked.move_to_end(key)
-        return bodies
+    @contextlib.contextmanager
+    def _one_moment(self) -> Iterator[None]:
+        """Read one moment of the file: segments are merged and dropped meanwhile."""
+        self._connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            self._connection.execute("COMMIT")
+
+    def _may_hold(self, head: _Head, needle: bytes) -> bool:
+        query = "SELECT instr(pairs, ?) FROM contents WHERE segment = ?"
+        return bool(self._connection.execute(query, (needle, head[1])).fetchone()[0])
+
+    def _unpack(self, head: _Head) -> _Unpacked:
+        unpacked = self._unpacked.get(head)
+        if unpacked is not None:
+            self._unpacked.move_to_end(head)
+            return unpacked
+        query = "SELECT pairs, records FROM contents WHERE segment = ?"
+        pairs, records = self._connection.execute(query, (head[1],)).fetchone() or (b"", b"")
+        bodies = unpack_records(decompress(records, is_compressed=bool(head[2] & RECORDS_COMPRESSED)))
+        places: dict[bytes, list[int]] = {}
+        for place in range(len(bodies)):
+            places.setdefault(pairs[4 * place : 4 * place + 4], []).append(place)
+        unpacked = self._unpacked[head] = _Unpacked(bodies=bodies, places=places)
+        if len(self._unpacked) > _KEPT_SEGMENTS:
+            self._unpacked.popitem(last=False)
+        return unpacked
 
     def _states(self, kind: int, limit: int) -> list[JournalRecord]:
         rows = self._connection.execute("SELECT body FROM states WHERE kind = ? ORDER BY offset DESC LIMIT ?", (kind, limit)).fetchall()

@@ -32,7 +32,7 @@ _STATEMENTS = (
   first_offset INTEGER NOT NULL, segment INTEGER NOT NULL, n_records INTEGER NOT NULL, n_reports INTEGER NOT NULL, level INTEGER NOT NULL,
   wall_ns INTEGER NOT NULL, min_start INTEGER, max_end INTEGER, encoding INTEGER NOT NULL, crc INTEGER NOT NULL,
   PRIMARY KEY (first_offset, segment)) WITHOUT ROWID""",
-    "CREATE INDEX segments_of_time ON segments (max_end) WHERE max_end IS NOT NULL",
+    "CREATE INDEX segments_of_time ON segments (max_end, min_start) WHERE max_end IS NOT NULL",
     "CREATE TABLE contents (segment INTEGER PRIMARY KEY, pairs BLOB NOT NULL, records BLOB NOT NULL, reports BLOB NOT NULL)",
     """CREATE TABLE windows (
   node INTEGER NOT NULL, boot INTEGER NOT NULL, next INTEGER NOT NULL, above INTEGER NOT NULL, wall_ns INTEGER NOT NULL,

@@ -17,6 +17,11 @@ _SMALL = (512, 2560)
 _MERGED_TOGETHER = (64, 16)
 """Neighbours of level 0, and of level 1, that become one: from a few records each to some thousand."""
 
+_LARGE = 1 << 20
+"""Stored octets up to which neighbours are merged: whole segments go where room is wanted."""
+
+_STORED = "length(c.pairs) + length(c.records) + length(c.reports)"
+
 _MERGE_SPAN = 256
 """Newest segments among which neighbours are looked for."""
 
@@ -53,14 +58,18 @@ class Upkeep:
 def merge_neighbours(connection: sqlite3.Connection) -> bool:
     """Merge a run of small neighbours among the newest segments, if one is long enough; return whether there was one."""
     rows = connection.execute(
-        "SELECT first_offset, segment, n_records + n_reports, level FROM segments ORDER BY first_offset DESC, segment DESC LIMIT ?",
+        f"SELECT s.first_offset, s.segment, s.n_records + s.n_reports, {_STORED}, s.level "  # noqa: S608  # constants of this file
+        "FROM segments s JOIN contents c ON c.segment = s.segment ORDER BY s.first_offset DESC, s.segment DESC LIMIT ?",
         (_MERGE_SPAN,),
     )
     for level, run in itertools.groupby(rows.fetchall(), key=_mergeable_level):
         members = list(run)
-        if level is not None and len(members) >= _MERGED_TOGETHER[level]:
-            _merge(connection, oldest=members[-1][:2], newest=members[0][:2], level=level + 1)
-            return True
+        if level is None or len(members) < _MERGED_TOGETHER[level]:
+            continue
+        sizes = itertools.accumulate(size for _, _, _, size, _ in reversed(members))
+        n_merged = sum(size <= _LARGE for size in sizes)
+        _merge(connection, oldest=members[-1][:2], newest=members[-n_merged][:2], level=level + 1)
+        return True
     return False
 
 
@@ -73,8 +82,8 @@ def drop_old(connection: sqlite3.Connection, retention: Retention, *, now_wall_n
     delivered = _delivered(connection, retention, now_wall_ns=now_wall_ns)
     # The newest one says how far the journal has come: it stays.
     rows = connection.execute(
-        "SELECT s.segment, s.first_offset, s.n_records, s.wall_ns, "
-        "length(c.pairs) + length(c.records) + length(c.reports) FROM segments s JOIN contents c ON c.segment = s.segment "
+        f"SELECT s.segment, s.first_offset, s.n_records, s.wall_ns, {_STORED} "  # noqa: S608  # constants of this file
+        "FROM segments s JOIN contents c ON c.segment = s.segment "
         "WHERE s.segment < (SELECT segment FROM segments ORDER BY first_offset DESC, segment DESC LIMIT 1) "
         "ORDER BY s.first_offset, s.segment LIMIT ?",
         (_DROPPED_TOGETHER,),
@@ -109,7 +118,8 @@ def give_back(connection: sqlite3.Connection) -> bool:
     n_spare = n_free - max(_SPARE_PAGES, int(n_pages * _SPARE_SHARE))
     if n_spare <= 0:
         return False
-    connection.execute(f"PRAGMA incremental_vacuum({min(n_spare, _PAGES_A_STEP)})").fetchall()
+    # Gives back one page a step of the statement; execute() takes a single step of what returns no columns.
+    connection.executescript(f"PRAGMA incremental_vacuum({min(n_spare, _PAGES_A_STEP)})")
     return True
 
 
@@ -119,9 +129,9 @@ def used_size(connection: sqlite3.Connection) -> int:
     return int(n_pages * connection.execute("PRAGMA page_size").fetchone()[0])
 
 
-def _mergeable_level(row: tuple[int, int, int, int]) -> int | None:
-    _, _, size, level = row
-    return level if level < len(_SMALL) and size < _SMALL[level] else None
+def _mergeable_level(row: tuple[int, int, int, int, int]) -> int | None:
+    _, _, n_members, size, level = row
+    return level if level < len(_SMALL) and n_members < _SMALL[level] and size < _LARGE // 4 else None
 
 
 def _delivered(connection: sqlite3.Connection, retention: Retention, *, now_wall_ns: int) -> int | None:

@@ -16,12 +16,8 @@ from gateway.journal_file.blobs import (
     DamagedSegmentError,
     compress,
     decompress,
-    find_pair,
-    pack_pairs,
     pack_records,
     pack_report,
-    pair_key,
-    pair_needle,
     unpack_records,
     unpack_reports,
 )
@@ -97,17 +93,6 @@ def test_damaged_records_are_told_and_never_read_past_their_end(bodies: list[byt
 def test_reports_come_back_as_they_were_packed(numbers: list[int], payload: bytes) -> None:
     reports = [a_report(number, payload=payload) for number in numbers]
     assert list(unpack_reports(b"".join(map(pack_report, reports)))) == reports
-
-
-@given(
-    pairs=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 1 << 17)), max_size=30),
-    wanted=st.tuples(st.integers(0, 5), st.integers(0, 1 << 17)),
-)
-def test_a_pair_is_found_wherever_it_is(pairs: list[tuple[int, int]], wanted: tuple[int, int]) -> None:
-    packed = pack_pairs(pair_key(*pair) for pair in [*pairs, wanted])
-    places = find_pair(packed, pair_needle(*wanted))
-    assert {at for at, pair in enumerate([*pairs, wanted]) if pair == wanted} <= set(places)
-    assert all(pair_key(*[*pairs, wanted][at]) == pair_key(*wanted) for at in places)
 
 
 @given(numbers=st.lists(st.integers(0, 60), min_size=1, max_size=60))
@@ -232,6 +217,25 @@ def test_the_file_is_bounded_and_gives_its_pages_back(tmp_path: Path) -> None:
         assert sizes[2] <= 1.1 * sizes[1], "new segments take the place of old ones"
         assert before > 6_000_000
         assert sizes[3] < 1_000_000 + 1.1 * 1024 * 4096, "but for what is spared for new ones"
+
+
+def test_a_pair_is_found_among_others_whatever_their_numbers(tmp_path: Path) -> None:
+    """Numbers beyond 16 bits, and octets that look like a pair where none begins."""
+    path = tmp_path / "j"
+    nodes = [0, 1, 256, 257, 65_535, 65_536, 65_537, (1 << 64) - 1]
+    pairs = [(a, b) for a in nodes for b in nodes if a < b]
+    with _opened(path) as file:
+        offset = 1
+        for _ in range(2):
+            records = [
+                an_encounter_record(sequence=number, node_a=a, node_b=b, t_start_s=1, t_end_s=2) for number, (a, b) in enumerate(pairs)
+            ]
+            offset = _commit(file, JournalWrite(records=tuple(records)), first_offset=offset)
+    with contextlib.closing(JournalReader(path)) as reader:
+        for number, (a, b) in enumerate(pairs):
+            found = reader.read_pair(node_a=NodeId(a), node_b=NodeId(b), from_wall_ns=0, to_wall_ns=3 * NS_PER_S)
+            assert [record.sequence for record in found] == [number, number]
+        assert reader.read_pair(node_a=NodeId(2), node_b=NodeId(3), from_wall_ns=0, to_wall_ns=3 * NS_PER_S) == []
 
 
 def test_encounters_of_a_time_are_those_that_overlap_it(tmp_path: Path) -> None:
