@@ -3,11 +3,12 @@
 Bytes are handed on in pieces that are worked off within ``_ROUND_NS`` divided by the number of radios, and where more is likely to follow,
 all others get a turn first: a round of all radios is short, however much each has to say. Two limits hold over longer times:
 
-- *bytes a second*, above what any serial line carries: only a TCP port that floods meets it;
-- *processor time*, only while radios keep the loop busy: then each gets the same share, and what needs more waits, at its own end of its line.
+- *bytes a second*, above what any serial line carries: only a TCP port that floods meets it, and may then say a fifth until it is quiet;
+- *processor time*, only while radios keep the loop busy: then each gets the same share, and what needs more waits at its own end of its
+  line.
 
-A radio that says too much floods; that is told when it begins and when it is over. Waiting for processor time is counted, no more: a gateway
-that has as much to do as it can is not ill.
+A radio that says too much floods; that is told when it begins and when it is over. Waiting for processor time is counted, no more: a
+gateway that has as much to do as it can is not ill.
 """
 
 import asyncio
@@ -36,6 +37,10 @@ _LOAD_NS = 100 * NS_PER_MS
 _TIME_BURST_NS = 50 * NS_PER_MS
 _LONGEST_PAUSE_S = 0.1
 _OVER_S = 5.0
+_BURST_S = 0.25
+"""So much of what it may say in a second it may say at once."""
+_FLOODING = 0.2
+"""Of the bytes a second, what a radio may say while it floods: what says more than any line carries is ill, and the rest is not missed."""
 
 OnFlood = Callable[[str, str, str], None]
 """Is told a radio's name, ``BEGUN`` or ``OVER``, and the circumstances."""
@@ -90,7 +95,7 @@ class FairShare:
         self._health = health
         self._on_flood = on_flood
         self._cost_ns = _FIRST_COST_NS
-        self._bytes_left = max_bytes_per_s
+        self._bytes_left = _BURST_S * max_bytes_per_s
         self._time_left_ns = float(_TIME_BURST_NS)
         self._filled_ns = time.monotonic_ns()
         self._n_bytes = 0
@@ -122,9 +127,10 @@ class FairShare:
         passed_ns, self._filled_ns = now_ns - self._filled_ns, now_ns
         share = _BUSY / self._load.n_radios
         self._time_left_ns = min(self._time_left_ns + share * passed_ns, _TIME_BURST_NS)
-        self._bytes_left = min(self._bytes_left + self._max_bytes_per_s * passed_ns / NS_PER_S, self._max_bytes_per_s) - n_bytes
+        rate = self._max_bytes_per_s * (1.0 if self._began_ns is None else _FLOODING)
+        self._bytes_left = min(self._bytes_left + rate * passed_ns / NS_PER_S, _BURST_S * self._max_bytes_per_s) - n_bytes
         self._n_bytes += n_bytes
-        pause_s = max(0.0, -self._bytes_left / self._max_bytes_per_s)
+        pause_s = max(0.0, -self._bytes_left / rate)
         if pause_s > 0:
             self._take_note(now_ns)
         if not self._load.is_busy(now_ns=now_ns):
