@@ -33,7 +33,7 @@ _RSSI_DBM = RssiDbm(-60)
 _SPARE = 48
 """Places of a backpack's memory that are left free for encounters that are under way."""
 
-_MOST_WAITING = 48
+_MOST_WAITING = 16
 """A backpack that holds so many senses nothing new: on a machine that is too slow, the site is kept busy and not drowned."""
 
 _RESTS_MS = 8_000
