@@ -128,17 +128,22 @@ class BeaconLoss:
     """
 
     now: Guesses = field(default_factory=lambda: guesses(0.0))
-    share: float = 0.01
     _missed: float = 2.0
     _trials: float = 200.0
+
+    @property
+    def share(self) -> float:
+        """Return the estimate."""
+        return self._missed / self._trials
 
     def observe(self, *, duration: float, gap: float) -> None:
         """Take a final report that lasted so long, and how long before it the side had reported before [beacon periods]; 0: unknown."""
         missed = round(gap) - 1 if _LOST_GAP < gap < _LONGEST_GAP else 0
-        self._missed = self._missed * _FADING + missed
         # The first beacon of a report is no trial, for without it there were no report; behind a gap it is.
-        self._trials = self._trials * _FADING + round(duration) + (missed + 1 if missed else 0)
-        self.share = self._missed / self._trials
-        level = 0.0 if self.share < _LOWEST else _LEVELS[min(bisect_left(_LEVELS, self.share), len(_LEVELS) - 1)]
-        if level != self.now.loss:
-            self.now = guesses(level)
+        self._trials = self._trials * _FADING + int(duration + 0.5) + (missed + 1 if missed else 0)
+        self._missed = self._missed * _FADING + missed
+        if missed or self.now.loss:
+            share = self.share
+            level = 0.0 if share < _LOWEST else _LEVELS[min(bisect_left(_LEVELS, share), len(_LEVELS) - 1)]
+            if level != self.now.loss:
+                self.now = guesses(level)
