@@ -128,8 +128,8 @@ class BeaconLoss:
     """
 
     now: Guesses = field(default_factory=lambda: guesses(0.0))
-    _missed: float = 2.0
-    _trials: float = 200.0
+    _missed: float = 0.4  # as if 40 beacons had been heard before, and none lost but by chance
+    _trials: float = 40.0
 
     @property
     def share(self) -> float:

@@ -23,7 +23,7 @@ _ZERO_NS = 1_000 * NS_PER_S
 _WINDOW_NS = 300 * NS_PER_S
 _STATUS_NS, _SYNC_NS, _URGENT_NS = 10 * NS_PER_S, 20 * NS_PER_S, NS_PER_S // 4
 _RETRY_NS = NS_PER_S
-_PATIENCE_NS = 5 * NS_PER_S  # as the gateway: a clock that cannot be settled for so long is believed as it is
+_PATIENCE_NS = 60 * NS_PER_S  # as the gateway: a clock that cannot be settled for so long is believed as it is
 _BUSY_SHARE, _BUSY_NS = 0.2, 400 * NS_PER_MS
 _STALL_SHARE, _STALL_NS = 0.005, 4 * NS_PER_S
 
@@ -38,8 +38,8 @@ class TrafficConfig:
         Between beacons [s].
     drift_ppm
         Clocks run too fast or too slow by up to this, uniformly.
-    restarts
-        How often each backpack restarts in the run; what it had sensed and not finished is lost then.
+    restart_every_s
+        A backpack restarts after exponential times of this mean [s]; what it had sensed and not finished is lost then.
     silent
         Whose encounters never come.
     """
@@ -48,7 +48,7 @@ class TrafficConfig:
     period_s: float
     until_s: float
     drift_ppm: float = 40.0
-    restarts: int = 2
+    restart_every_s: float = 900.0
     silent: frozenset[int] = frozenset()
 
 
@@ -131,7 +131,11 @@ class _Traffic:
         )
 
     def _draw_lives(self) -> list[_Life]:
-        starts = sorted(self._rng.randrange(int(self._config.until_s * NS_PER_S)) for _ in range(self._config.restarts))
+        starts: list[int] = []
+        at_s = self._rng.expovariate(1 / self._config.restart_every_s)
+        while at_s < self._config.until_s:
+            starts.append(int(at_s * NS_PER_S))
+            at_s += self._rng.expovariate(1 / self._config.restart_every_s)
         drift_ppb = round(self._rng.uniform(-1.0, 1.0) * self._config.drift_ppm * 1000)
         first = _Life(BootId(1), 0, DriftingClock(start_ms=self._rng.randrange(3_600_000), drift_ppb=drift_ppb))
         return [first, *(_Life(BootId(2 + k), at, DriftingClock(start_ms=0, drift_ppb=drift_ppb)) for k, at in enumerate(starts))]

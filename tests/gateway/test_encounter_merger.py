@@ -2,9 +2,9 @@
 
 from itertools import pairwise
 
-import msgspec.structs
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from firmware_protocol.contract.records import EncounterRecord
 from firmware_protocol.units import NS_PER_MS, RSSI_UNKNOWN, Nanoseconds, NodeId, RssiDbm
@@ -120,7 +120,7 @@ def test_a_restart_in_between_changes_no_encounter(reports: list[SideReport], n_
     shift_ns = anchor_ms * _MS
     for old in reports[n_before:]:
         published += second.merge(
-            msgspec.structs.replace(old, t_start_ns=Nanoseconds(old.t_start_ns - shift_ns), t_end_ns=Nanoseconds(old.t_end_ns - shift_ns))
+            replace(old, t_start_ns=Nanoseconds(old.t_start_ns - shift_ns), t_end_ns=Nanoseconds(old.t_end_ns - shift_ns))
         )
     found = [
         (one.node_a, one.node_b, one.t_start_ns + one.wall_anchor_ns, one.t_end_ns + one.wall_anchor_ns)
@@ -188,7 +188,7 @@ def test_the_path_to_a_meeting_is_that_of_its_first_report_and_an_unknown_streng
 def _beacon_report(node: int, peer: int, start: int, end: int, *, is_ongoing: bool = False) -> SideReport:
     """A report by beacons every 1000 ms; times in ms."""
     report = _report(node, peer, start, end, margin=575, is_ongoing=is_ongoing)
-    return msgspec.structs.replace(report, period_ns=1000 * _MS, error_ns=Nanoseconds(2 * _MS))
+    return replace(report, period_ns=1000 * _MS, error_ns=Nanoseconds(2 * _MS))
 
 
 def _steady_merger() -> EncounterMerger:
@@ -242,7 +242,7 @@ def test_the_end_of_an_encounter_that_goes_on_is_its_last_beacon() -> None:
 @settings(max_examples=50)
 @given(_reports(), st.data())
 def test_with_beacons_too_the_order_of_the_reports_changes_nothing(reports: list[SideReport], data: st.DataObject) -> None:
-    reports = [msgspec.structs.replace(report, period_ns=20 * _MS) for report in reports]
+    reports = [replace(report, period_ns=20 * _MS) for report in reports]
     shuffled = data.draw(st.permutations(reports)) + data.draw(st.lists(st.sampled_from(reports), max_size=4))
     one, other = _steady_merger(), _steady_merger()
     records = [record for report in reports for record in one.merge(report)]
@@ -269,7 +269,7 @@ def test_lost_beacons_do_not_tear_an_encounter_apart_once_they_are_known_to_be_l
         for part in range(5):
             start = 100_000 * encounter + 4000 * part
             margin = margin_of(beacon_period_ms=1000, error_ns=0, n_bridged=merger.loss.now.n_bridged) // _MS
-            records += merger.merge(msgspec.structs.replace(_beacon_report(1, 2, start, start + 2000), margin_ns=margin * _MS))
+            records += merger.merge(replace(_beacon_report(1, 2, start, start + 2000), margin_ns=margin * _MS))
     newest = newest_encounters(records)
     assert 0.15 < merger.loss.share < 0.23
     assert [record.t_end_ns - record.t_start_ns > 18_000 * _MS for record in newest[-10:]] == [True] * 10
