@@ -34,13 +34,21 @@ CONTRACT = (Path(firmware_protocol.contract.__file__).parent / "CONTRACT.md").re
 names = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,20}", fullmatch=True)
 
 
-@given(names, st.sampled_from(Stream), names, st.none() | st.integers(0, 2**64 - 1))
-def test_parsing_inverts_building(site: str, stream: Stream, gateway: str, number: int | None) -> None:
+@given(names, st.sampled_from(Stream), names, st.none() | st.integers(0, 2**64 - 1), names)
+def test_parsing_inverts_building(site: str, stream: Stream, gateway: str, number: int | None, name: str) -> None:
     node = NodeId(number) if number is not None and stream in {Stream.STATUS, Stream.NEIGHBOURS} else None
+    mapper = name if stream is Stream.WATERMARK else None
 
-    key = build_key(site=site, stream=stream, gateway=gateway, node=node)
+    key = build_key(site=site, stream=stream, gateway=gateway, node=node, mapper=mapper)
 
-    assert parse_key(key) == Key(site=site, stream=stream, gateway=gateway, node=node)
+    assert parse_key(key) == Key(site=site, stream=stream, gateway=gateway, node=node, mapper=mapper)
+
+
+@pytest.mark.parametrize("stream", [stream for stream in Stream if stream is not Stream.WATERMARK])
+def test_a_watermark_alone_has_a_mapper(stream: Stream) -> None:
+    for wrong, mapper in ((stream, "m1"), (Stream.WATERMARK, None)):
+        with pytest.raises(KeyExpressionError, match="mapper"):
+            build_key(site="s", stream=wrong, gateway="g", mapper=mapper)
 
 
 def test_patterns_hold_wildcards() -> None:
