@@ -9,7 +9,7 @@ import sqlite3
 from dataclasses import dataclass
 
 from gateway.journal_file.blobs import decompress
-from gateway.journal_file.segments import RECORDS_COMPRESSED, REPORTS_COMPRESSED, join_contents
+from gateway.journal_file.segments import MODE, RECORDS_COMPRESSED, REPORTS_COMPRESSED, join_contents
 
 _SMALL = (512, 2560)
 """Records and reports of a segment of level 0, and of level 1, that is worth merging."""
@@ -24,6 +24,9 @@ _STORED = "length(c.pairs) + length(c.records) + length(c.reports)"
 
 _MERGE_SPAN = 256
 """Newest segments among which neighbours are looked for."""
+
+_KEPT_MODES = 10_000
+"""As many as a gateway reads when it starts."""
 
 _DROPPED_TOGETHER = 32
 _SPARE_SHARE = 0.05
@@ -104,6 +107,7 @@ def drop_old(connection: sqlite3.Connection, retention: Retention, *, now_wall_n
         connection.execute("BEGIN IMMEDIATE")
         try:
             _delete_until(connection, *last)
+            _delete_states(connection)
             connection.execute("COMMIT")
         finally:
             _roll_back(connection)
@@ -145,7 +149,7 @@ def _drop_tables(connection: sqlite3.Connection, retention: Retention, *, now_wa
     if retention.audit_age_ns is not None:
         # The last number on the wire is kept: a backpack remembers it.
         connection.execute(
-            "DELETE FROM audit WHERE id IN (SELECT id FROM audit WHERE wall_ns < ? AND id < "
+            "DELETE FROM audit WHERE id IN (SELECT id FROM audit WHERE wall_ns < ? AND id IS NOT "
             "(SELECT max(id) FROM audit WHERE wire_command IS NOT NULL) ORDER BY wall_ns LIMIT 1000)",
             (now_wall_ns - retention.audit_age_ns,),
         )
@@ -204,6 +208,15 @@ def _merge(connection: sqlite3.Connection, *, oldest: tuple[int, int], newest: t
 def _delete_until(connection: sqlite3.Connection, first_offset: int, segment: int) -> None:
     connection.execute("DELETE FROM segments WHERE (first_offset, segment) <= (?, ?)", (first_offset, segment))
     connection.execute("DELETE FROM contents WHERE segment <= ?", (segment,))
+
+
+def _delete_states(connection: sqlite3.Connection) -> None:
+    """Drop the modes of segments that are gone, but for those that a restart reads."""
+    connection.execute(
+        "DELETE FROM states WHERE kind = :mode AND offset < (SELECT min(first_offset) FROM segments) "
+        "AND offset < (SELECT offset FROM states WHERE kind = :mode ORDER BY offset DESC LIMIT 1 OFFSET :n_kept)",
+        {"mode": MODE, "n_kept": _KEPT_MODES - 1},
+    )
 
 
 def _roll_back(connection: sqlite3.Connection) -> None:

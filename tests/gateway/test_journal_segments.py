@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 
 from firmware_protocol.contract.records import EncounterRecord, Mode, decode_journal_record
 from firmware_protocol.units import BootId, NodeId
-from gateway.journal_file import JournalFile, JournalReader, JournalWrite, Retention, SegmentBuilder, UplinkReport, open_journal_file
+from gateway.journal_file import (
+    AuditEntry,
+    JournalFile,
+    JournalReader,
+    JournalWrite,
+    Retention,
+    SegmentBuilder,
+    UplinkReport,
+    open_journal_file,
+)
 from gateway.journal_file.blobs import (
     DamagedSegmentError,
     compress,
@@ -217,6 +226,42 @@ def test_the_file_is_bounded_and_gives_its_pages_back(tmp_path: Path) -> None:
         assert sizes[2] <= 1.1 * sizes[1], "new segments take the place of old ones"
         assert before > 6_000_000
         assert sizes[3] < 1_000_000 + 1.1 * 1024 * 4096, "but for what is spared for new ones"
+
+
+def test_modes_of_segments_that_are_gone_go_but_for_those_that_a_restart_reads(tmp_path: Path) -> None:
+    clock, offset, per_segment = _Clock(), 1, 2500
+    with _opened(tmp_path / "j", clock) as file, contextlib.closing(JournalReader(tmp_path / "j")) as reader:
+        for number in range(6):
+            clock.now_ns += NS_PER_S
+            modes = tuple(a_mode_record(sequence=per_segment * number + k, node=k, mode=Mode.S) for k in range(per_segment))
+            offset = _commit(file, JournalWrite(records=modes), first_offset=offset)
+        _tidy(file, Retention(max_age_ns=1))
+        assert file.oldest_offset() == 5 * per_segment + 1
+        assert [mode.offset for mode in reader.read_recent_modes(limit=1 << 20)] == list(range(offset - 10_000, offset))
+
+
+def test_audits_and_silent_biobots_have_ages_of_their_own(tmp_path: Path) -> None:
+    clock, offset = _Clock(), 1
+    with _opened(tmp_path / "j", clock) as file, contextlib.closing(JournalReader(tmp_path / "j")) as reader:
+        for number in range(4):
+            clock.now_ns += 100 * NS_PER_S
+            entry = AuditEntry(
+                wall_ns=clock.now_ns,
+                command_id=f"c{number}",
+                wire_command=number if number < 2 else None,
+                stage="accepted",
+                node=NodeId(number),
+                train_ms=500,
+                request=b"",
+                body=b"",
+            )
+            write = JournalWrite(report=a_report(0, node=number, wall_ns=clock.now_ns), node=(NodeId(number), bytes([number])), audit=entry)
+            offset = _commit(file, write, first_offset=offset)
+        file.tidy(Retention(audit_age_ns=50 * NS_PER_S, node_age_ns=150 * NS_PER_S), {})
+        assert [entry.command_id for entry in reader.read_audit_since(0)] == ["c1", "c3"], "the last number on the wire stays"
+        assert reader.read_nodes() == [b"\x02", b"\x03"]
+        assert [node for node, _, _, _ in reader.read_windows()] == [2, 3]
+        assert len(list(reader.read_reports())) == 4
 
 
 def test_a_pair_is_found_among_others_whatever_their_numbers(tmp_path: Path) -> None:
