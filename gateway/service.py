@@ -5,6 +5,7 @@ import contextlib
 import os
 import random
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -46,6 +47,10 @@ _log = EventLog(__name__)
 _SAY = {Level.DEBUG: _log.debug, Level.INFO: _log.info, Level.WARNING: _log.warning, Level.ERROR: _log.error}
 
 _STATUS_PERIOD_S = 1.0
+_SWITCH_S = 0.0005
+"""A thread that wants to go on while the loop is busy waits so long for the interpreter. A commit asks for it some times over; with Python's
+5 ms each, commits took 20 ms under load instead of 3, and a dongle with 16 unconfirmed payloads stood still for as long (measured 2026-11)."""
+
 _DRAIN_TIMEOUT_S = 5.0
 _CANCEL_AGAIN_S = 0.5
 
@@ -313,6 +318,7 @@ class Service:
 
 async def run_gateway(config: GatewayConfig) -> None:
     """Run a gateway until SIGTERM or SIGINT; a second signal ends the process at once."""
+    sys.setswitchinterval(_SWITCH_S)
     manager = ServiceManager.of(os.environ)
     service = Service(config, manager=manager)
     loop = asyncio.get_running_loop()
