@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from firmware_protocol.configuration_text import configuration_keys
+from gateway.journal_file import open_journal_file
 from studies.reference import COMMANDS, CONFIGURATIONS, VARIABLES, help_text
 
 ROOT = Path(__file__).parent.parent
@@ -24,16 +25,21 @@ def readme_commands() -> list[str]:
 
 
 def run(command: str, *more: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command, _, target = command.partition(" > ")
     program, *arguments = shlex.split(command)
     module = MODULES[Path(program).name]
-    return subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-m", module, *arguments, *more], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
     )
+    if target:
+        (cwd / target).write_text(result.stdout)
+    return result
 
 
 def test_the_commands_of_the_readme_run(tmp_path: Path) -> None:
     """Those that wait for hardware or a signal are checked as far as their configuration."""
     ran = 0
+    open_journal_file(tmp_path / "gateway.sqlite", now_wall_ns=10**18, now_ns=0, machine_boot="").close()
     for command in readme_commands():
         if not command.startswith(".venv/bin/"):
             continue
@@ -42,6 +48,9 @@ def test_the_commands_of_the_readme_run(tmp_path: Path) -> None:
         if " probe " in command:  # there is nothing to be asked here, and it says so
             assert result.returncode == 1, (command, result.stderr)
             assert "there is no /dev/serial/by-id/usb-x" in result.stdout
+        elif command.endswith(" status"):  # nor is anybody there who could tell
+            assert result.returncode == 1, (command, result.stderr)
+            assert "nobody listens there" in result.stderr
         else:
             assert result.returncode == 0, (command, result.stderr)
         ran += 1
