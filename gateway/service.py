@@ -48,8 +48,9 @@ _SAY = {Level.DEBUG: _log.debug, Level.INFO: _log.info, Level.WARNING: _log.warn
 
 _STATUS_PERIOD_S = 1.0
 _SWITCH_S = 0.0005
-"""A thread that wants to go on while the loop is busy waits so long for the interpreter. A commit asks for it some times over; with Python's
-5 ms each, commits took 20 ms under load instead of 3, and a dongle with 16 unconfirmed payloads stood still for as long (measured 2026-11)."""
+"""A thread that wants to go on while the loop is busy waits so long for the interpreter. A commit asks for it some times over; with
+Python's 5 ms each, commits took 20 ms under load instead of 3, and a dongle with 16 unconfirmed payloads stood still for as long
+(measured 2026-11)."""
 
 _DRAIN_TIMEOUT_S = 5.0
 _CANCEL_AGAIN_S = 0.5

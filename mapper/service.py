@@ -44,8 +44,8 @@ _FLAGS = ("site", "name", "connect", "listen", "store", "host", "port", "allow_r
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 _GRACEFUL_S = 5
 _SWITCH_S = 0.0005
-"""A thread that wants to go on while another is busy waits so long for the interpreter: the store's thread asks for it at every statement, and
-Python's 5 ms would add up."""
+"""A thread that wants to go on while another is busy waits so long for the interpreter: the store's thread asks for it at every
+statement, and Python's 5 ms would add up."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
