@@ -291,7 +291,7 @@ class Service:
         vitals.head_offset = journal.head_offset
         while True:
             vitals.n_links, vitals.n_biobots, vitals.commit_s = bus.n_links(), len(nodes), journal.commit_s
-            vitals.watermarks = dict(journal.watermarks)
+            vitals.why_alone, vitals.watermarks = bus.missing, dict(journal.watermarks)
             self._manager.tell(vitals.headline())
             bus.publish_gateway_status(
                 GatewayStatus(

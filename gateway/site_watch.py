@@ -14,7 +14,8 @@ from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
 from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, decode_record
 from firmware_protocol.contract.sessions import TlsTable
 from firmware_protocol.errors import KeyExpressionError, RecordError
-from gateway.bus_session import open_service
+from gateway.bus_session import ConnectionWatch, open_service
+from gateway.health import Health
 from gateway.site_view import Arrival, Presence
 
 _MAX_WAITING = 1024
@@ -29,8 +30,9 @@ class SiteWatch:
         The one that is listened to, or None for all.
     """
 
-    def __init__(self, session: zenoh.Session, *, site: str, gateway: str | None) -> None:
+    def __init__(self, session: zenoh.Session, *, watch: ConnectionWatch, site: str, gateway: str | None) -> None:
         self._session = session
+        self._watch = watch
         self._arrivals: deque[Arrival] = deque(maxlen=_MAX_WAITING)
         name = gateway or ANY
         # Kept, because a subscriber that nobody holds is undeclared.
@@ -51,12 +53,19 @@ class SiteWatch:
         BusError
             ``connect`` is no endpoint.
         """
-        return cls(open_service(listen=(), connect=connect, tls=tls), site=site, gateway=gateway)
+        session = open_service(listen=(), connect=connect, tls=tls)
+        watch = ConnectionWatch(session, connect=connect, tls=tls, facts=None, health=Health())
+        return cls(session, watch=watch, site=site, gateway=gateway)
 
     @property
     def is_connected(self) -> bool:
         """Whether any gateway or router is connected."""
         return bool(self._session.info.transports())
+
+    @property
+    def missing(self) -> str | None:
+        """Say why nobody is connected, endpoint by endpoint, or None: somebody is, or the reason is not known yet."""
+        return self._watch.missing
 
     def take(self) -> list[Arrival]:
         """Return what came in since the last call, in order."""
@@ -67,6 +76,7 @@ class SiteWatch:
 
     def close(self) -> None:
         """Listen no more."""
+        self._watch.close()
         self._session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
 
     def _take_status(self, sample: zenoh.Sample) -> None:

@@ -19,11 +19,15 @@ _NAME_WIDTH = 34
 _PREFIXES = "kMGTP"
 
 
-def draw(view: SiteView, *, site: str, connect: Sequence[str], is_connected: bool, waited_s: float, now_s: float) -> RenderableType:
+def draw(
+    view: SiteView, *, site: str, connect: Sequence[str], is_connected: bool, why_alone: str | None = None, waited_s: float, now_s: float
+) -> RenderableType:
     """Return the whole picture.
 
     Parameters
     ----------
+    why_alone
+        Why nobody is connected, where it is known.
     waited_s
         How long this view has been listening [s].
     now_s
@@ -34,10 +38,12 @@ def draw(view: SiteView, *, site: str, connect: Sequence[str], is_connected: boo
     parts: list[RenderableType] = [line]
     if not gateways:
         what = "connected, but no gateway of this site is heard" if is_connected else "nobody answers there"
+        what += f" ({_plain(why_alone)})" if why_alone and not is_connected else ""
         parts.append(Text(f"{what}, for {_span(waited_s)}: is the gateway running, and are --site and --connect its own?", style="yellow"))
     parts += [_draw_gateway(one, now_s=now_s) for one in gateways]
     if gateways and not is_connected:
-        parts.append(Text("the connection is cut: what is shown is what was last heard", style="bold red"))
+        reason = f" ({_plain(why_alone)})" if why_alone else ""
+        parts.append(Text(f"the connection is cut{reason}: what is shown is what was last heard", style="bold red"))
     if view.events:
         parts.append(Text("events", style="dim"))
         parts += [_draw_event(event) for event in list(view.events)[-_EVENTS_SHOWN:]]

@@ -73,6 +73,8 @@ class Vitals:
         """Mapper's name to the offset up to which it has everything."""
         self.n_links: int | None = None
         """Zenoh sessions that are connected, or None: the bus is not open."""
+        self.why_alone: str | None = None
+        """Why nobody is connected on the bus, endpoint by endpoint, or None: somebody is, or the reason is not known yet."""
         self.is_stopping = False
         self._journal = journal
         self._connect = connect
@@ -168,7 +170,8 @@ class Vitals:
         if self.n_links is None:
             found.append("the bus is not open yet")
         elif self._connect and not self.n_links:
-            found.append(f"nobody is connected on the bus: no router or gateway answers at {', '.join(self._connect)}")
+            reason = self.why_alone or f"no router or gateway answers at {', '.join(self._connect)}"
+            found.append(f"nobody is connected on the bus: {reason}")
         conditions = self.health.radio_conditions()
         if not any(one.state is RadioState.UP for one in conditions.values()):
             reasons = [f"{name} is {one.state.value}{f' ({one.reason})' if one.reason else ''}" for name, one in conditions.items()]

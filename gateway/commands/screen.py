@@ -1,5 +1,6 @@
 """The picture that ``biobot-gateway status`` draws: once, or until it is interrupted."""
 
+import logging
 import signal
 import time
 from collections.abc import Sequence
@@ -27,12 +28,15 @@ def show(*, site: str, gateway: str | None, connect: Sequence[str], tls: TlsTabl
     A terminal that cannot move its cursor gets one picture.
     """
     console = Console(highlight=False)
+    # What the watch over the connection would log is in the picture, which lines among it would tear.
+    logging.disable(logging.CRITICAL)
     watch = SiteWatch.open(site=site, gateway=gateway, connect=connect, tls=tls)
     try:
         screen = Screen(watch=watch, site=site, connect=connect)
         return screen.draw_once(console) if is_once or console.is_dumb_terminal else screen.keep_drawing(console)
     finally:
         watch.close()
+        logging.disable(logging.NOTSET)
 
 
 class Screen:
@@ -80,4 +84,12 @@ class Screen:
     def _picture(self) -> RenderableType:
         now_s = time.monotonic()
         waited_s, is_connected = now_s - self._begun_s, self._watch.is_connected
-        return draw(self._view, site=self._site, connect=self._connect, is_connected=is_connected, waited_s=waited_s, now_s=now_s)
+        return draw(
+            self._view,
+            site=self._site,
+            connect=self._connect,
+            is_connected=is_connected,
+            why_alone=self._watch.missing,
+            waited_s=waited_s,
+            now_s=now_s,
+        )

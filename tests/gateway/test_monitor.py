@@ -114,6 +114,8 @@ def test_what_is_missing_is_told_until_it_is_there(desk: Desk) -> None:
         "nobody is connected on the bus: no router or gateway answers at tcp/router:7447",
         "no radio is up: serial:/dev/a is down (there is no /dev/a)",
     ]
+    desk.vitals.why_alone = "tcp/router:7447: nobody listens there"
+    assert desk.told("/readyz", "missing")[1][0] == "nobody is connected on the bus: tcp/router:7447: nobody listens there"
     desk.vitals.n_links = 1
     desk.health.set_radio("tcp:b:1", RadioState.UP)
     assert desk.told("/readyz", "missing") == (200, [])

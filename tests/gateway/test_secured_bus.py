@@ -14,7 +14,7 @@ import zenoh
 from firmware_protocol.contract.access import Role
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.presence import Kind, build_token_key
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, decode_record
+from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, Watermark, decode_record, encode_record
 from firmware_protocol.contract.sessions import TlsTable
 from firmware_protocol.units import BootId, Nanoseconds
 from gateway.bus import Bus
@@ -24,6 +24,7 @@ from gateway.connecting import diagnose
 from gateway.errors import BusError
 from gateway.health import Health
 from gateway.journal import Journal
+from gateway.site_watch import SiteWatch
 from gateway.tls_files import check_tls_files
 from tests.gateway.certified import Certified
 from tests.gateway.fake_radio import until
@@ -75,7 +76,13 @@ def test_each_role_does_what_its_row_allows_and_nothing_else(tmp_path: Path) -> 
             bus = await asyncio.to_thread(Bus.open, config, health=health)  # it is there before its router
             stack.callback(journal.close)
             stack.callback(bus.close)
-            bus.start(on_command=lambda request, _: commands.append(request), open_reader=journal.reader, journal=journal.journal_id)
+            watermarks: list[tuple[str, int]] = []
+            bus.start(
+                on_command=lambda request, _: commands.append(request),
+                open_reader=journal.reader,
+                journal=journal.journal_id,
+                on_watermark=lambda mapper, offset: watermarks.append((mapper, offset)),
+            )
             bus.set_radio("serial:/dev/tty*A", is_up=True)
             stack.enter_context(certified.router(port))
             certified.tls("demo/viewer/late")  # after the router has read its roster
@@ -95,6 +102,9 @@ def test_each_role_does_what_its_row_allows_and_nothing_else(tmp_path: Path) -> 
 
             await until(all_hear, what="mapper, viewer and operator hear the gateway")
             assert decode_record(heard["demo/viewer/bob"].payloads[0], GatewayEvent) == EVENT
+            live = SiteWatch.open(site="demo", gateway=None, connect=config.connect, tls=certified.tls("demo/viewer/bob"))
+            stack.callback(live.close)
+            await until(lambda: all_hear() and STATUS in live.take(), what="the status view hears the gateway")
             # A record of history and a refusal of a command are answers too; no answer at all means that the router let nothing through.
             history, command = (build_key(site="demo", stream=stream, gateway="base1") for stream in (Stream.HISTORY, Stream.COMMAND))
             assert answers_of(session["demo/mapper/map1"], history)
@@ -104,6 +114,13 @@ def test_each_role_does_what_its_row_allows_and_nothing_else(tmp_path: Path) -> 
             for name in ("demo/viewer/bob", "demo/gateway/rogue", "other/viewer/eve", "demo/viewer/late"):
                 assert not answers_of(session[name], history), name
                 assert not answers_of(session[name], command), name
+            # A mapper's watermarks come under its own name alone.
+            for name, offset in (("map2", 9), ("map1", 7)):
+                key = build_key(site="demo", stream=Stream.WATERMARK, gateway="base1", mapper=name)
+                watermark = Watermark(mapper=name, journal=journal.journal_id, offset=offset)
+                session["demo/mapper/map1"].put(key, encode_record(watermark))
+            await until(lambda: bool(watermarks), what="the watermark comes")
+            assert watermarks == [("map1", 7)]
             # Nobody but base1 is heard under its name, and nobody answers for it.
             for name, one in session.items():
                 one.put(status_key, b"forged by " + name.encode())

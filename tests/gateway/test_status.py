@@ -52,9 +52,10 @@ def a_status(at_s: int, *, name: str = "base1", boot: int = 1, head: int = 0, n_
     )
 
 
-def picture(view: SiteView, *, now_s: float = 10.0, is_connected: bool = True, width: int = 80) -> str:
+def picture(view: SiteView, *, now_s: float = 10.0, is_connected: bool = True, why_alone: str | None = None, width: int = 80) -> str:
     out = io.StringIO()
-    drawn = draw(view, site="local", connect=["tcp/127.0.0.1:7447"], is_connected=is_connected, waited_s=7.0, now_s=now_s)
+    connect = ["tcp/127.0.0.1:7447"]
+    drawn = draw(view, site="local", connect=connect, is_connected=is_connected, why_alone=why_alone, waited_s=7.0, now_s=now_s)
     Console(file=out, width=width, force_terminal=False).print(drawn)
     text = out.getvalue()
     assert max(map(len, text.splitlines())) <= width
@@ -103,7 +104,9 @@ def test_it_is_said_when_a_gateway_is_gone_silent_or_not_there_at_all() -> None:
     view.take(Presence(gateway="base2", is_alive=False), now_s=20.0)
     text = picture(view, now_s=25.0, is_connected=False)
     assert "base2 gone for 5 s" in text
-    assert "the connection is cut" in text
+    assert "the connection is cut:" in text
+    text = picture(view, now_s=25.0, is_connected=False, why_alone="tcp/a:1: nobody listens there").replace("\n", " ")
+    assert "the connection is cut (tcp/a:1: nobody listens there)" in text
     view.take(a_status(330, name="base2", boot=2), now_s=30.0)
     assert "gone" not in picture(view, now_s=30.0)
 
@@ -166,7 +169,8 @@ def test_on_a_terminal_gateways_come_and_go_live_and_the_terminal_is_left_as_it_
     async def live() -> None:
         config = a_config(tmp_path, "serial:/dev/not-there")
         terminal = Terminal("--site", "test", "--connect", config.listen[0])
-        await terminal.until("nobody answers there")
+        await terminal.until("nobody answers there (")
+        await terminal.until("nobody listens there")
         async with running(config):
             await terminal.until("base1")
             await terminal.until("serial:/dev/not-there")
