@@ -79,12 +79,10 @@ def _check_configuration(args: argparse.Namespace) -> int:
     if args.command == "serve":
         flags |= {f"serve.{name}": getattr(args, name, None) for name in ServiceConfig.__struct_fields__}
 
-    def check_files() -> None:
-        problems, _ = check_tls_files(load_mapper_config(args.config, environment=os.environ, flags=flags))
-        if problems:
-            raise ConfigurationError(problems)
+    def check_sources() -> None:
+        load_mapper_config(args.config, environment=os.environ, flags=flags, check=lambda config: check_tls_files(config)[0])
 
-    checks: list[Callable[[], object]] = [check_files, choose_kernels]
+    checks: list[Callable[[], object]] = [check_sources, choose_kernels]
     if args.command == "run":
         checks.append(lambda: make_limits(window_s=args.window_s, from_s=args.from_s, until_s=args.until_s))
     if args.command == "feasibility":

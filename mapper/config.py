@@ -1,6 +1,6 @@
 """The frozen configuration: what a TOML file, the environment and the flags may say."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from firmware_protocol.configuration import load_configuration
+from firmware_protocol.configuration import Unfit, load_configuration
 from firmware_protocol.contract.keys import check_name
 from firmware_protocol.contract.sessions import TlsTable
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
@@ -174,7 +174,13 @@ class MapperConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     tls: TlsTable = TlsTable()
 
 
-def load_mapper_config(path: Path | None, *, environment: Mapping[str, str], flags: Mapping[str, object]) -> MapperConfig:
+def load_mapper_config(
+    path: Path | None,
+    *,
+    environment: Mapping[str, str],
+    flags: Mapping[str, object],
+    check: Callable[[MapperConfig], Iterable[Unfit]] | None = None,
+) -> MapperConfig:
     """Build the configuration: defaults, then the TOML file, then ``BIOBOT_MAPPER__...`` variables, then flags.
 
     Parameters
@@ -183,6 +189,8 @@ def load_mapper_config(path: Path | None, *, environment: Mapping[str, str], fla
         The TOML file, or None for none.
     flags
         Dotted key to value; None means "not given".
+    check
+        Finds what types cannot say, such as files that are not there.
 
     Raises
     ------
@@ -203,6 +211,7 @@ def load_mapper_config(path: Path | None, *, environment: Mapping[str, str], fla
         environment=environment,
         environment_prefix=ENVIRONMENT_PREFIX,
         flags=flags,
+        check=check,
     )
 
 

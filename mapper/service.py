@@ -83,10 +83,8 @@ def main(args: argparse.Namespace) -> int:
     ConfigurationError, MapError
         The configuration is unfit, or store, bus or address cannot be had.
     """
-    config = load_mapper_config(args.config, environment=os.environ, flags=_flags(args))
-    problems, facts = check_tls_files(config)
-    if problems:
-        raise ConfigurationError(problems)
+    config = load_mapper_config(args.config, environment=os.environ, flags=_flags(args), check=lambda config: check_tls_files(config)[0])
+    _, facts = check_tls_files(config)
     set_up_logging(level=config.serve.log_level)
     sys.setswitchinterval(_SWITCH_S)
     try:

@@ -3,6 +3,7 @@
 import ssl
 from pathlib import Path
 
+from firmware_protocol.configuration import Unfit
 from firmware_protocol.contract.access import Role, identity_problem
 from firmware_protocol.contract.handshakes import CertificateFacts, examine, explain
 from firmware_protocol.contract.sessions import TlsTable, tls_problems
@@ -11,25 +12,33 @@ from mapper.config import MapperConfig
 EXPIRES_SOON_DAYS = 30.0
 
 
-def check_tls_files(config: MapperConfig) -> tuple[list[str], CertificateFacts | None]:
-    """Return what is wrong with the files and endpoints, one line each, and what the own certificate says where there is one."""
+def check_tls_files(config: MapperConfig) -> tuple[list[Unfit], CertificateFacts | None]:
+    """Return what is wrong with the files and endpoints, and what the own certificate says where there is one and it is sound."""
     tls, serve = config.tls, config.serve
-    problems = tls_problems(tls, listen=serve.listen, connect=serve.connect)
+    about = ("tls.ca", "tls.certificate", "tls.key", "serve.listen", "serve.connect")
+    unfit = [Unfit(keys=about, reason=reason) for reason in tls_problems(tls, listen=serve.listen, connect=serve.connect)]
     for key, path in (("ca", tls.ca), ("certificate", tls.certificate), ("key", tls.key)):
         if path is not None:
-            problems += _unreadable(key, Path(path))
-    if problems or tls.ca is None:
-        return problems, None
+            unfit += _unreadable(key, Path(path))
+    if unfit or tls.ca is None:
+        return unfit, None
     try:
         holder, verifier = client_context(tls), _verifier(tls)
         holder.check_hostname, holder.verify_mode = False, ssl.CERT_NONE
         facts = examine(holder=holder, verifier=verifier) if tls.certificate is not None else None
     except ssl.SSLCertVerificationError as error:
-        return [f"tls.certificate {tls.certificate}: {explain(error)}"], None
+        return [Unfit(keys=("tls.certificate",), reason=f"tls.certificate {tls.certificate}: {explain(error)}")], None
     except ssl.SSLError as error:
-        return [f"tls.ca {tls.ca}, tls.certificate {tls.certificate} and tls.key {tls.key} do not fit ({error}); give all as issued"], None
+        reason = f"tls.ca {tls.ca}, tls.certificate {tls.certificate} and tls.key {tls.key} do not fit ({error}); give all as issued"
+        return [Unfit(keys=about[:3], reason=reason)], None
     misfit = None if facts is None else identity_problem(facts.common_name, roles=(Role.MAPPER,), site=serve.site, name=serve.name)
-    return [] if misfit is None else [f"tls.certificate {tls.certificate}: {misfit}"], facts
+    if misfit is None:
+        return [], facts
+    # A router lets a mapper speak under its certificate's name alone.
+    advice = ", or leave serve.name out: it is then the certificate's" if serve.name is not None else ""
+    return [
+        Unfit(keys=("serve.name", "serve.site", "tls.certificate"), reason=f"tls.certificate {tls.certificate}: {misfit}{advice}")
+    ], None
 
 
 def client_context(tls: TlsTable) -> ssl.SSLContext:
@@ -58,10 +67,11 @@ def _verifier(tls: TlsTable) -> ssl.SSLContext:
     return context
 
 
-def _unreadable(key: str, path: Path) -> list[str]:
+def _unreadable(key: str, path: Path) -> list[Unfit]:
     try:
         with path.open("rb"):
             return []
     except OSError as error:
         told = (error.strerror or str(error)).lower()
-        return [f"tls.{key} {path}: cannot be read: {told}; give the path of a PEM file that this user may read"]
+        reason = f"tls.{key} {path}: cannot be read: {told}; give the path of a PEM file that this user may read"
+        return [Unfit(keys=(f"tls.{key}",), reason=reason)]

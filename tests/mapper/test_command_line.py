@@ -13,6 +13,7 @@ import pytest
 
 from mapper.__main__ import main
 from mapper.rips_engines import name_engine
+from tests.gateway.certified import Certified
 from tests.mapper.worlds import NS, walk_track
 
 HEADER = "t_start_s,t_end_s,id1,id2\n"
@@ -333,6 +334,28 @@ def test_check_config_reports_every_fault_at_once(tmp_path: Path, capsys: pytest
     assert main(arguments) == 2
     errors = capsys.readouterr().err
     assert all(word in errors for word in ("n_points", "magic", "colour"))
+
+
+def test_a_mapper_speaks_under_its_certificates_name_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A router would let through nothing that it says under another; with all else that is wrong, it is told before anything is opened."""
+    tls = Certified(tmp_path / "ca").tls("demo/mapper/map1")
+    config = tmp_path / "mapper.toml"
+    table = f'[tls]\nca = "{tls.ca}"\ncertificate = "{tls.certificate}"\nkey = "{tls.key}"\n'
+    for serve, faults in (
+        ('site = "demo"', []),
+        ('site = "demo"\nname = "map1"', []),
+        ('site = "demo"\nname = "map2"', ["it is for demo/mapper/map1, but this is mapper 'map2'", "leave serve.name out"]),
+        ('site = "ruin"\nport = -1', ["it is for demo/mapper/map1", "site 'ruin'", "serve.port is -1"]),
+    ):
+        config.write_text(f"[serve]\n{serve}\n{table}")
+        assert main(["serve", "--config", str(config), "--check-config"]) == (2 if faults else 0)
+        errors = capsys.readouterr().err
+        assert [fault for fault in faults if fault not in errors] == []
+    config.write_text(f'[serve]\nsite = "demo"\nport = -1\n{table}'.replace("key.pem", "lost.pem"))
+    assert main(["serve", "--config", str(config), "--check-config"]) == 2
+    errors = capsys.readouterr().err
+    assert "serve.port is -1" in errors
+    assert "lost.pem: cannot be read" in errors
 
 
 @pytest.mark.parametrize(
