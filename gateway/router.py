@@ -1,5 +1,7 @@
 """A Zenoh router as a service: carries many gateways, mappers and operators of many sites; secured, and heeding a roster alone."""
 
+import contextlib
+import os
 import queue
 import signal
 from enum import Enum
@@ -15,6 +17,7 @@ from gateway.errors import BusError
 from gateway.health import Health
 from gateway.log import EventLog
 from gateway.router_config import RouterConfig
+from gateway.service_manager import ServiceManager
 from gateway.tls_files import check_tls_files, read_roster
 from gateway.zenoh_log import capture_zenoh_log
 
@@ -31,8 +34,9 @@ class _Order(Enum):
 class Router:
     """An open router. What happens on it is put into ``happenings`` by Zenoh's threads and by signals, and handled by `run`."""
 
-    def __init__(self, config: RouterConfig) -> None:
+    def __init__(self, config: RouterConfig, *, manager: ServiceManager | None = None) -> None:
         self._config = config
+        self._manager = manager or ServiceManager(address=None)
         self._health = Health()
         self._happenings: queue.SimpleQueue[_Order | zenoh.LinkEvent] = queue.SimpleQueue()
         self._members: list[Identity] = []
@@ -63,13 +67,16 @@ class Router:
             members=len(self._members) if self._config.roster is not None else "anybody",
         )
         self._warn_of_open_doors()
+        self._manager.ready()
         try:
             while (happening := self._happenings.get()) is not _Order.STOP:
                 if happening is _Order.RELOAD:
                     self._reload()
                 elif isinstance(happening, zenoh.LinkEvent):
                     self._tell(happening)
+                self._manager.tell(f"{len(self._session.info.transports())} connected")
         finally:
+            self._manager.stopping()
             self._close()
         _log.info("router.stopped")
 
@@ -141,8 +148,11 @@ class Router:
 def run_router(config: RouterConfig) -> None:
     """Run a router until SIGTERM or SIGINT; a second one ends the process at once. SIGHUP reads the roster again."""
     capture_zenoh_log()
-    router = Router(config)
+    with contextlib.closing(ServiceManager.of(os.environ)) as manager:
+        _run_until_signalled(Router(config, manager=manager))
 
+
+def _run_until_signalled(router: Router) -> None:
     def on_stop(number: int, _frame: FrameType | None) -> None:
         signal.signal(number, signal.SIG_DFL)
         router.stop()

@@ -31,6 +31,7 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
             "list-ports",
             "probe",
             "check-radio",
+            "journal",
             "command",
             "status",
             "router",

@@ -59,7 +59,7 @@ def test_a_fault_in_a_rule_is_found(tmp_path: Path, line: str, word: str) -> Non
     assert any(word in problem for problem in check_rules(tmp_path)), check_rules(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["biobot-gateway", "biobot-mapper"])
+@pytest.mark.parametrize("name", ["biobot-gateway", "biobot-mapper", "biobot-router"])
 def test_each_unit_starts_a_command_that_there_is_and_is_started_for_ever(name: str) -> None:
     unit = DEPLOY / "systemd" / f"{name}.service"
     keys = [line.split("=", 1) for line in unit.read_text().splitlines() if "=" in line and not line.startswith("#")]

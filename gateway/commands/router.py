@@ -9,7 +9,7 @@ import msgspec
 from gateway.commands.outcome import DONE
 from gateway.commands.run import add_config
 from gateway.log import set_up_logging
-from gateway.router_config import load_router_config
+from gateway.router_config import ENVIRONMENT_PREFIX, load_router_config
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tls-key", metavar="FILE", help="private key to it")
     parser.add_argument("--log-level", choices=["DEBUG", "INFO", "WARNING", "ERROR"])
     # SUPPRESS: what was given before the word "router" stays when it is not given again after it.
-    add_config(parser, default=argparse.SUPPRESS)
+    add_config(parser, default=argparse.SUPPRESS, prefix=ENVIRONMENT_PREFIX)
 
 
 def router(options: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ import msgspec
 
 from firmware_protocol.errors import ConfigurationError
 from gateway.commands.outcome import DONE, FAILED
-from gateway.config_loading import load_gateway_config
+from gateway.config_loading import ENVIRONMENT_PREFIX, load_gateway_config
 from gateway.errors import GatewayError
 from gateway.log import EventLog, describe, set_up_logging
 
@@ -25,9 +25,9 @@ _FLAG_NAMES = {
 }
 
 
-def add_config(parser: argparse.ArgumentParser, *, default: object) -> None:
-    """Add ``--config`` and ``--check-config``, which may stand before the command and after it."""
-    help_text = "TOML file; BIOBOT_GATEWAY__... variables and flags win over it"
+def add_config(parser: argparse.ArgumentParser, *, default: object, prefix: str = ENVIRONMENT_PREFIX) -> None:
+    """Add ``--config`` and ``--check-config``, which may stand before the command and after it; ``prefix`` is that of its variables."""
+    help_text = f"TOML file; {prefix}__... variables and flags win over it"
     parser.add_argument("--config", type=Path, metavar="FILE", default=default, help=help_text)
     help_text = "print the configuration that would be used, and leave"
     parser.add_argument("--check-config", action="store_true", default=default or False, help=help_text)
