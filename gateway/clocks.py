@@ -24,6 +24,9 @@ queue take a few milliseconds, while requests may wait in the dongle."""
 SETTLED_ERROR_NS = 100 * NS_PER_MS
 """A clock known better than this is good enough to date what its backpack reports."""
 
+ROUGH_ERROR_NS = NS_PER_S
+"""A clock known better than this is good enough where no better is to be had for long: on lines so busy that requests wait."""
+
 _TICK_NS = NS_PER_MS
 _N_PARTS = 16
 """Of the window; the tightest bound of each part is kept, so a fit looks at 16 times 16 pairs of points at most."""
@@ -54,7 +57,7 @@ class NodeClock:
 
     window_ns: int
     first_ns: int = 0
-    """When its first message came."""
+    """When its first message came, or the first after a jump."""
     n_jumps: int = 0
     _upper: dict[int, Point] = field(default_factory=dict)
     """Of each part of the window, by its number, the tightest bound from above: when it was sent, and the offset; ``_lower`` likewise."""
@@ -77,11 +80,12 @@ class NodeClock:
     @property
     def is_settled(self) -> bool:
         """Whether a time sync has bounded it well: before that, a message that waited in a queue may pass for a quick one."""
-        if not self._lower:
-            return False
-        if self._is_stale:
-            self._refit()
-        return self._upper_ns - self._lower_ns <= SETTLED_ERROR_NS
+        return self._is_known_within(SETTLED_ERROR_NS)
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether a time sync has bounded it at all well: what it dates is then as wrong as its ``error_ns`` says and no more."""
+        return self._is_known_within(ROUGH_ERROR_NS)
 
     @property
     def fitted(self) -> ClockFit | None:
@@ -96,7 +100,6 @@ class NodeClock:
         offset_ns = received_ns - sent_ns
         self._newest = (sent_ns, offset_ns)
         if self._fit is None:
-            self.first_ns = received_ns
             self._restart()
             return
         self._latest_ns = max(self._latest_ns, sent_ns)
@@ -143,6 +146,13 @@ class NodeClock:
             self._error_ns + int(furthest * self._rate_error),
         )
 
+    def _is_known_within(self, limit_ns: int) -> bool:
+        if not self._lower:
+            return False
+        if self._is_stale:
+            self._refit()
+        return self._upper_ns - self._lower_ns <= limit_ns
+
     def _refit(self, *, newest_lower: Point | None = None) -> None:
         found = fit(list(self._upper.values()), list(self._lower.values()), at_ns=self._latest_ns, assumed_delay_ns=ASSUMED_DELAY_NS)
         if found is None:
@@ -153,7 +163,8 @@ class NodeClock:
 
     def _restart(self, newest_lower: Point | None = None) -> None:
         """Believe only what came last."""
-        sent_ns, _ = self._newest
+        sent_ns, offset_ns = self._newest
+        self.first_ns = sent_ns + offset_ns
         self._latest_ns = sent_ns
         self._upper = {sent_ns * _N_PARTS // self.window_ns: self._newest}
         self._lower = {} if newest_lower is None else {newest_lower[0] * _N_PARTS // self.window_ns: newest_lower}

@@ -8,7 +8,7 @@ done. Downward, ``send`` gives each payload a future with what became of it; not
 import asyncio
 import time
 import traceback
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 
 from firmware_protocol.dialects.interface import (
     CoordinatorIdentified,
@@ -27,12 +27,13 @@ from firmware_protocol.errors import LinkFullError
 from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, ShortAddress
 from gateway.backoff import Backoff
 from gateway.config import LinkTable
-from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError, TransportHangsError, TransportSilentError
+from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError, TransportSilentError, first_transport_error
 from gateway.health import Health
 from gateway.journal_file import SESSIONS_PER_START
 from gateway.log import EventLog
 from gateway.log_ration import LogRation
 from gateway.outage import OnState, Outage
+from gateway.port_opening import OpenPort, PortOpening
 from gateway.radio import Fate, RadioMessage, RadioOutcome, outcome_of
 from gateway.receipts import Receipts
 from gateway.sendings import Sendings
@@ -76,22 +77,20 @@ class Coordinator:
         *,
         radio: str,
         make_host: Callable[[], Host],
-        open_port: Callable[[], Awaitable[Transport]],
+        open_port: OpenPort,
         on_radio: Callable[[RadioMessage], "asyncio.Future[None] | None"],
         config: LinkTable,
         health: Health,
         first_session: int,
         on_state: OnState | None = None,
-        reset_port: Callable[[], Awaitable[Transport]] | None = None,
+        reset_port: OpenPort | None = None,
     ) -> None:
         self.radio = radio
         self.hello: CoordinatorHello | None = None
         self._make_host = make_host
-        self._open_port = open_port
         self._on_radio = on_radio
         self._config = config
         self._health = health
-        self._reset_port = reset_port
         self._host = make_host()
         self._is_held = False
         self._wake = asyncio.Event()
@@ -104,10 +103,8 @@ class Coordinator:
         self._reopen_pause_s = 0.0
         self._opened_ns: int | None = None
         self._was_steady = False
-        self._n_silences = 0
-        """How many times in a row the dongle did not answer."""
-        self._hanging: TransportHangsError | None = None
         self._outage = Outage(radio=radio, health=health, on_state=on_state)
+        self._opening = PortOpening(open_port=open_port, reset_port=reset_port, config=config, health=health, outage=self._outage)
         self._ration = LogRation()
 
     @property
@@ -133,10 +130,7 @@ class Coordinator:
         RadioUnavailableError
             The radio is down, its queue is full, or the address is none of one biobot; nothing was sent.
         """
-        if destination > LAST_NODE_ADDRESS:
-            raise RadioUnavailableError(radio=self.radio, reason=f"{destination:#06x} is no biobot's address: it would reach many, or none")
-        if not self.is_up:
-            raise RadioUnavailableError(radio=self.radio, reason="it is not connected")
+        self._check_open_for(destination)
         if len(self._sendings) >= _MAX_SENDINGS and not is_urgent:
             raise RadioUnavailableError(radio=self.radio, reason=f"{len(self._sendings)} payloads wait for it")
         now_ns = time.monotonic_ns()
@@ -147,6 +141,21 @@ class Coordinator:
         self._wake.set()
         return self._sendings.add(ticket, deadline_ns=now_ns + int(self._config.radio_timeout_s * NS_PER_S))
 
+    def send_timed(self, *, destination: ShortAddress, make: Callable[[int], bytes]) -> "asyncio.Future[RadioOutcome]":
+        """Send a payload that ``make`` makes of the instant [ns] at which the port is about to take it; it overtakes all that waits then.
+
+        What is urgent and was sent before goes first, and at most one of these waits for the port at a time.
+
+        Raises
+        ------
+        RadioUnavailableError
+            As of ``send``, or another one waits; nothing will be sent.
+        """
+        self._check_open_for(destination)
+        future = self._sendings.hold_timed(destination=destination, make=make, radio=self.radio)
+        self._wake.set()
+        return future
+
     async def run(self) -> None:
         """Keep the radio connected until cancelled."""
         backoff = Backoff(first_s=self._config.first_backoff_s, max_s=self._config.max_backoff_s)
@@ -154,13 +163,13 @@ class Coordinator:
             self._outage.attempt()
             self._was_steady = False
             try:
-                transport = await self._open()
+                transport = await self._opening.open()
                 try:
                     await self._hold(transport)
                 finally:
                     await transport.aclose()
             except TransportError as error:
-                self._n_silences += isinstance(error, TransportSilentError)
+                self._opening.n_silences += isinstance(error, TransportSilentError)
                 self._outage.begin(str(error))
             except Exception as error:  # noqa: BLE001  # one radio's fault must not end the gateway, which stops the other radios' animals
                 reason = f"{type(error).__name__}: {error}"
@@ -172,22 +181,11 @@ class Coordinator:
                 backoff.start_anew()
             await asyncio.sleep(backoff.take_s())
 
-    async def _open(self) -> Transport:
-        """Open the port, and reset the dongle by its line where it has fallen silent; wait for an earlier opening that hangs."""
-        if self._hanging is not None and not self._hanging.is_over():
-            raise self._hanging
-        self._hanging = None
-        limit = self._config.silences_before_reset
-        is_reset = self._reset_port is not None and 0 < limit <= self._n_silences
-        try:
-            if is_reset and self._reset_port is not None:
-                self._outage.step("radio.line_reset", silences=self._n_silences)
-                return await self._reset_port()
-            return await self._open_port()
-        except TransportHangsError as error:
-            self._hanging = error
-            self._health.count("radio.hanging_openings")
-            raise
+    def _check_open_for(self, destination: ShortAddress) -> None:
+        if destination > LAST_NODE_ADDRESS:
+            raise RadioUnavailableError(radio=self.radio, reason=f"{destination:#06x} is no biobot's address: it would reach many, or none")
+        if not self.is_up:
+            raise RadioUnavailableError(radio=self.radio, reason="it is not connected")
 
     async def _hold(self, transport: Transport) -> None:
         """Keep the dongle open on an open port; ends with the ``TransportError`` that ended it."""
@@ -203,7 +201,7 @@ class Coordinator:
             _, rest = group.split(TransportError)
             if rest is not None:
                 raise
-            raise _first(group) from group
+            raise first_transport_error(group) from group
         finally:
             self._is_held = False
             self._end_session()
@@ -241,6 +239,8 @@ class Coordinator:
                 self._host.confirm(safe)
             for frame in self._host.take_frames():
                 await transport.write(frame)
+            if self._hand_over_timed():  # after what waited for the line, or its instant would be too early by all of that
+                continue
             deadline_ns = self._next_deadline_ns()
             # A timer that wakes: a timeout's context would cost as much as ten messages.
             timer = None if deadline_ns is None else loop.call_later((deadline_ns - time.monotonic_ns()) / NS_PER_S, self._wake.set)
@@ -252,6 +252,19 @@ class Coordinator:
             self._wake.clear()
             if deadline_ns is not None and time.monotonic_ns() >= deadline_ns:
                 self._handle_deadlines(transport)
+
+    def _hand_over_timed(self) -> bool:
+        """Make the timed payload that waits, if the dongle can have it now; return whether there is something to write."""
+        timed = self._sendings.take_timed()
+        if timed is None:
+            return False
+        try:
+            outcome = self.send(destination=timed.destination, payload=timed.make(time.monotonic_ns()), is_urgent=True)
+        except RadioUnavailableError as error:
+            timed.settle(RadioOutcome(fate=Fate.UNKNOWN, reason=error.reason))
+            return False
+        timed.follow(outcome)
+        return True
 
     def _next_deadline_ns(self) -> int | None:
         deadlines = [self._host.next_deadline_ns(), self._reopen_at_ns, self._sendings.next_deadline_ns]
@@ -333,7 +346,7 @@ class Coordinator:
         self._opened_ns = time.monotonic_ns()
         self._n_sessions += 1
         self._receipts.clear()
-        self._n_silences = 0
+        self._opening.n_silences = 0
         self._outage.end()
 
     def _lost(self, lost: HostLost) -> None:
@@ -380,12 +393,3 @@ class Coordinator:
             say(event, radio=self.radio, unsaid=n_unsaid, **facts)
         else:
             say(event, radio=self.radio, **facts)
-
-
-def _first(group: BaseExceptionGroup[BaseException]) -> TransportError:
-    """Return the error that ended reading or writing first; the other task may have met the same cause."""
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, TransportError)
-    return error

@@ -3,11 +3,11 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from firmware_protocol.message_codec import encode_downlink
 from firmware_protocol.messages import Downlink
-from firmware_protocol.units import NodeId
+from firmware_protocol.units import NodeId, ShortAddress
 from gateway.coordinator import Coordinator
 from gateway.errors import RadioUnavailableError
 from gateway.nodes import NodeBook
@@ -32,20 +32,26 @@ class DownlinkSender:
         RadioUnavailableError
             The biobot was never heard of, another has its address now, or its radio takes nothing now; nothing was sent.
         """
-        known = self._nodes.find(node)
-        coordinator = None if known is None else self._coordinators.get(known.radio)
-        if known is None or coordinator is None:
-            reason = (
-                "it was never heard of" if known is None else f"it was last heard by {known.radio}, which is no port of this gateway now"
-            )
-            raise RadioUnavailableError(radio=f"of biobot {node}", reason=reason)
-        if known.address is None:
-            raise RadioUnavailableError(
-                radio=f"of biobot {node}", reason="its short address is another biobot's now; it is reached again when it is next heard"
-            )
-        future = coordinator.send(destination=known.address, payload=encode_downlink(self._sequence, message), is_urgent=is_urgent)
+        coordinator, address = self._way_to(node)
+        future = coordinator.send(destination=address, payload=encode_downlink(self._sequence, message), is_urgent=is_urgent)
         self._sequence = (self._sequence + 1) % _SEQUENCE_MODULUS
         return future
+
+    def send_timed(self, node: NodeId, make: Callable[[int], Downlink]) -> "asyncio.Future[RadioOutcome]":
+        """Send a message that is made of the instant [ns] at which the radio's port takes it; see ``Coordinator.send_timed``.
+
+        Raises
+        ------
+        RadioUnavailableError
+            As of ``send``, or another timed message waits for its radio.
+        """
+        coordinator, address = self._way_to(node)
+
+        def make_payload(now_ns: int) -> bytes:
+            sequence, self._sequence = self._sequence, (self._sequence + 1) % _SEQUENCE_MODULUS
+            return encode_downlink(sequence, make(now_ns))
+
+        return coordinator.send_timed(destination=address, make=make_payload)
 
     def send_everywhere(self, node: NodeId, message: Downlink) -> "list[asyncio.Future[RadioOutcome]]":
         """Send an urgent message over the radio that heard a biobot last, and over each other one that heard it within the last minutes.
@@ -84,3 +90,17 @@ class DownlinkSender:
         known = self._nodes.find(node)
         coordinator = None if known is None else self._coordinators.get(known.radio)
         return 0 if coordinator is None else coordinator.n_pending
+
+    def _way_to(self, node: NodeId) -> tuple[Coordinator, ShortAddress]:
+        known = self._nodes.find(node)
+        coordinator = None if known is None else self._coordinators.get(known.radio)
+        if known is None or coordinator is None:
+            reason = (
+                "it was never heard of" if known is None else f"it was last heard by {known.radio}, which is no port of this gateway now"
+            )
+            raise RadioUnavailableError(radio=f"of biobot {node}", reason=reason)
+        if known.address is None:
+            raise RadioUnavailableError(
+                radio=f"of biobot {node}", reason="its short address is another biobot's now; it is reached again when it is next heard"
+            )
+        return coordinator, known.address

@@ -1,12 +1,12 @@
 """The entries of encounter batches, dated and merged: the gateway's most frequent work, on plain numbers.
 
 Encounters leave memory when they are older than the window, or when there are too many of them; a late report brings them back from the
-journal.
+journal. After a start the first report brings back all of the last window at once, for many late ones follow.
 """
 
 import asyncio
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from firmware_protocol.contract.records import EncounterRecord
 from firmware_protocol.message_codec import EncounterFields
@@ -31,6 +31,11 @@ _FORGOTTEN_AT_ONCE = 1_000
 _ABSENT_AFTER_NS = 120 * NS_PER_S
 """A biobot that was last heard so long before another is out of range of this gateway: only the other reports what the two share."""
 
+MAX_BROUGHT_BACK = 20_000
+"""Encounters that are brought back together after a start: a fifth of a second. Of more than these, only the latest."""
+
+_BEFORE_ALL_NS, _AFTER_ALL_NS = -(1 << 62), (1 << 63) - 1
+
 _RECALL_SLACK_NS = 10 * NS_PER_S
 """Encounters this far around a late report, beside twice its margin, are brought back: more than the error of any clock."""
 
@@ -54,7 +59,9 @@ class EncounterReports:
         self._nodes = nodes
         self._health = health
         self._window_ns = int(window_s * NS_PER_S)
-        self._horizon_ns = self._next_horizon_ns = now_ns
+        self._horizon_ns = self._next_horizon_ns = now_ns + _RECALL_SLACK_NS  # what the journal has may end a little later than now
+        self._is_fresh = True
+        """No report has come yet, so all that is known is in the journal."""
         self._late_pairs: set[tuple[NodeId, NodeId]] = set()
         """Of reports older than the next horizon that may not be on disk yet."""
         self._is_forgetting = False
@@ -62,6 +69,8 @@ class EncounterReports:
 
     def take(self, entries: Sequence[EncounterFields], *, node: Node, sent_ms: int, clock: NodeClock) -> list[EncounterRecord]:
         """Return the records that the entries of a biobot's message bring about. ``clock`` is that of the message's boot."""
+        if self._is_fresh:
+            self._bring_back()
         records: list[EncounterRecord] = []
         merge, find = self._merger.merge, self._nodes.find
         name, own_period_ms, next_horizon_ns = node.node, node.beacon_period_ms, self._next_horizon_ns
@@ -120,6 +129,43 @@ class EncounterReports:
         self._is_forgetting = False
         self._health.set_level("encounters.in_memory", len(self._merger))
 
+    def _bring_back(self) -> None:
+        """Bring back what the journal has of its last window, or the latest part of that; what is older is recalled pair by pair."""
+        self._is_fresh = False
+        try:
+            latest_ns = self._reader.read_latest_end()
+            if latest_ns is None:
+                self._horizon_ns = self._next_horizon_ns = _BEFORE_ALL_NS
+                return
+            latest_ns = min(latest_ns, self._issuer.to_wall_ns(self._horizon_ns))
+            span_ns, newest = self._window_ns, self._read_latest(latest_ns - self._window_ns)
+            while newest is None and span_ns > NS_PER_S:
+                span_ns //= 4
+                newest = self._read_latest(latest_ns - span_ns)
+        except sqlite3.Error:
+            self._health.count("encounter.unread_journal")
+            return
+        if newest is None:
+            return
+        # As in ``_recall``: of what is found, only that counts whose newest revision is in the span as well.
+        near_ns = 4 * max(map(self._margin_of_record, newest), default=0)
+        from_wall_ns = latest_ns - span_ns + near_ns
+        self._restore(record for record in newest if record.t_end_ns + record.wall_anchor_ns >= from_wall_ns)
+        first_anchor_ns, _ = self._issuer.to_recorded_wall_ns(0, 0)
+        self._horizon_ns = self._next_horizon_ns = min(self._horizon_ns, from_wall_ns - first_anchor_ns + _RECALL_SLACK_NS)
+
+    def _read_latest(self, from_wall_ns: int) -> list[EncounterRecord] | None:
+        """Return the newest revisions of what ended after an instant, or None where these are too many."""
+        newest: dict[tuple[int, int], EncounterRecord] = {}
+        for record in self._reader.read_encounters(from_wall_ns=from_wall_ns, to_wall_ns=_AFTER_ALL_NS):
+            newest[record.boot, record.sequence] = record
+            if len(newest) > MAX_BROUGHT_BACK:
+                return None
+        return list(newest.values())
+
+    def _restore(self, records: Iterable[EncounterRecord]) -> None:
+        self._merger.restore(records, margin=self._margin_of_record, period=lambda record: self._period_ms_of(record) * NS_PER_MS)
+
     def _recall(self, report: SideReport) -> None:
         """Bring back from the journal what the merger has forgotten and this late report may belong to."""
         node_a, node_b = sorted((report.node, report.peer))
@@ -137,7 +183,7 @@ class EncounterReports:
         near_ns = 4 * report.margin_ns
         near = [one for one in newest.values() if _is_near(one, from_wall_ns=from_wall_ns + near_ns, to_wall_ns=to_wall_ns - near_ns)]
         if near:
-            self._merger.restore(near, margin=self._margin_of_record, period=lambda record: self._period_ms_of(record) * NS_PER_MS)
+            self._restore(near)
 
     def _n_bridged(self, node: Node | None, peer: Node | None) -> int:
         """Return how many lost beacons in a row are bridged: more where the other's reports are not to be expected here."""

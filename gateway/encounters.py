@@ -3,7 +3,8 @@
 Each report covers its interval and a margin at both ends. Reports of a pair whose covers overlap belong to one encounter, so the
 encounters of a pair are the connected pieces of all covers: the result does not depend on the order of the reports. The
 margin is half of 1.15 beacon periods (the gap that a lost beacon leaves, doubled by the other report's margin), more where many beacons are
-lost, or, where sensing is continuous, the error of the clock (at most 0.1 s).
+lost, or, where sensing is continuous, the error of the clock (at most 1 s; 0.1 s where no
+time sync has bounded it).
 """
 
 from bisect import bisect_right
@@ -13,15 +14,23 @@ from dataclasses import dataclass, field
 from itertools import islice
 
 from firmware_protocol.contract.records import EncounterRecord
-from firmware_protocol.units import NS_PER_MS, NodeId
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
+from gateway.clocks import ROUGH_ERROR_NS
 from gateway.issuer import RecordIssuer
 from gateway.meetings import Meeting, SideReport, meeting_of, meeting_of_record
 from gateway.unheard import BeaconLoss
 
 __all__ = ["MAX_ERROR_MARGIN_NS", "EncounterMerger", "SideReport", "margin_of"]
 
-MAX_ERROR_MARGIN_NS = 100 * NS_PER_MS
-"""A clock that is known badly widens a margin no further: separate meetings must not be joined for want of a time sync."""
+MAX_ERROR_MARGIN_NS = ROUGH_ERROR_NS
+"""As wrong as a clock may be that a time sync has bounded: with such margins both sides of a meeting overlap, whatever the clocks' errors.
+So separate meetings of a pair that are closer than both errors are joined; with settled clocks these are some milliseconds."""
+
+_ASSUMED_ERROR_NS = 3 * NS_PER_S // 2
+"""So wrong is only a clock that no time sync has bounded: less than ``ASSUMED_DELAY_NS``, more than a rough clock's drift can add."""
+
+_ASSUMED_MARGIN_NS = 100 * NS_PER_MS
+"""The error of such a clock is an assumption: separate meetings must not be joined for want of a time sync."""
 
 _MAX_EXCESS = 20_000
 """Of too many encounters so many are looked at in one go: about two milliseconds."""
@@ -38,7 +47,8 @@ def margin_of(*, beacon_period_ms: int, error_ns: int, n_bridged: int = 0) -> in
         So many beacons lost in a row are bridged as well.
     """
     # 1.15 beacon periods: one lost beacon and its jitter (Encounternet joins gaps below a pulse period and its slack, Rutz et al. 2015).
-    return max(min(error_ns, MAX_ERROR_MARGIN_NS), (1 + n_bridged) * beacon_period_ms * NS_PER_MS * 115 // 200)
+    for_error_ns = min(error_ns, MAX_ERROR_MARGIN_NS) if error_ns < _ASSUMED_ERROR_NS else _ASSUMED_MARGIN_NS
+    return max(for_error_ns, (1 + n_bridged) * beacon_period_ms * NS_PER_MS * 115 // 200)
 
 
 @dataclass(slots=True, kw_only=True)

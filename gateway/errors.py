@@ -143,3 +143,12 @@ class MonitorError(GatewayError):
 
 class CommandError(GatewayError):
     """A command could not be brought to a gateway; nothing was sent to the biobot."""
+
+
+def first_transport_error(group: BaseExceptionGroup[BaseException]) -> TransportError:
+    """Return the error that ended reading or writing first, of a group of nothing else; the other task may have met the same cause."""
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, TransportError)
+    return error

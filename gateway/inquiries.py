@@ -3,21 +3,31 @@
 import asyncio
 import contextlib
 import time
+from collections import deque
 
 from firmware_protocol.messages import HelloRequest, TimeSyncRequest
-from firmware_protocol.units import NS_PER_S, NodeId
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId
 from gateway.clocks import ClockBook
 from gateway.downlink import DownlinkSender
 from gateway.errors import RadioUnavailableError
 from gateway.health import Health
 from gateway.nodes import Node, NodeBook
+from gateway.radio import RadioOutcome
 
 _POLL_S = 0.05
 _CALM_POLL_S = 0.25
 """While nothing is lacking; what a backpack says that is not known wakes."""
 
-_URGENT_PAUSE_NS = NS_PER_S // 4
-"""Pause between two time sync requests while a clock is not known well: its backpack's reports are not taken before."""
+_BREATH_S = 0.01
+"""Between two looks at all biobots, however often one wakes."""
+
+_FIRST_PAUSE_NS = NS_PER_S // 4
+_LONGEST_PAUSE_NS = NS_PER_S
+"""Pause between two time sync requests to a backpack whose clock is not known well: at first, and after some in vain. What it reports is
+not taken before."""
+
+_FATE_PATIENCE_NS = 50 * NS_PER_MS
+"""After so long a radio is given the next of these requests, though it has not told what became of the one before."""
 
 _HELLO_PAUSE_NS = 2 * NS_PER_S
 _SILENT_AFTER_NS = 120 * NS_PER_S
@@ -26,17 +36,17 @@ _SILENT_AFTER_NS = 120 * NS_PER_S
 _MAX_ROUSED = 3
 """So often is a biobot asked that an earlier process knew and this one has not heard yet."""
 
-_NEVER = (-1, 0)
+_NEVER = (-1, 0, 0)
 _MAX_PENDING = 4
-"""Nothing is asked while this many payloads are under way at the radio: a request that waits in a queue says less about the clock."""
-
-_MAX_URGENT_PENDING = 12
-"""The same where the clock is not known at all, and what its backpack reports waits for that: more than acknowledgements ever fill
-(eight), or a radio that is busy with them would never ask, and its biobots would wait for ever."""
+"""Nothing but the time of a clock that is not known is asked while so many payloads are under way at the radio."""
 
 
 class Inquirer:
-    """Sends hello and time sync requests; ``run`` is its task."""
+    """Sends hello and time sync requests; ``run`` is its task.
+
+    Those whose clock is not known well are asked in turn, one after the other at each radio, ahead of all acknowledgements: what they say
+    is refused meanwhile and said again and again, and the more there is of that, the longer does everything wait that could end it.
+    """
 
     def __init__(self, *, sender: DownlinkSender, nodes: NodeBook, clocks: ClockBook, sync_period_s: float, health: Health) -> None:
         self._sender = sender
@@ -44,11 +54,16 @@ class Inquirer:
         self._clocks = clocks
         self._sync_period_ns = int(sync_period_s * NS_PER_S)
         self._health = health
-        self._asked_hello_ns: dict[NodeId, int] = {}
         self._wake = asyncio.Event()
-        self._asked_time: dict[NodeId, tuple[int, int]] = {}
+        self._asked_hello_ns: dict[NodeId, int] = {}
+        self._asked_time: dict[NodeId, tuple[BootId, int, int]] = {}
+        """Whom of each number the time was asked, when last, and how often in vain."""
         self._roused: dict[NodeId, tuple[int, int]] = {}
         """How often, and when last, biobots were asked that were not heard since the gateway started."""
+        self._unsettled: dict[str, deque[NodeId]] = {}
+        """Who of each radio is to be asked the time at once; those that wait longest come first."""
+        self._under_way: dict[str, tuple[asyncio.Future[RadioOutcome], int]] = {}
+        """The request that each radio was given last, and until when the next one waits for what becomes of it."""
 
     def wake(self) -> None:
         """Look again at once: a backpack was heard whose clock is not known."""
@@ -57,22 +72,32 @@ class Inquirer:
     async def run(self) -> None:
         """Ask, until cancelled."""
         while True:
-            now_ns = time.monotonic_ns()
-            # Those that wait longest come first, so that a crowd that starts together is asked in turn.
-            lacks_nothing = True
-            for node in sorted(self._nodes.all(), key=lambda node: self._asked_time.get(node.node, _NEVER)[1]):
-                is_settled = self._clocks.is_settled(node=node.node, boot=node.boot)
-                lacks_nothing &= is_settled and node.is_introduced
-                if self._sender.n_pending(node.node) >= (_MAX_PENDING if is_settled else _MAX_URGENT_PENDING):
-                    continue
-                if not node.last_heard_ns:
-                    self._rouse(node, now_ns)
-                elif node.last_heard_ns >= now_ns - _SILENT_AFTER_NS:
-                    self._ask(node, now_ns, is_settled=is_settled)
+            lacks_nothing = self._look(time.monotonic_ns())
             self._wake.clear()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_CALM_POLL_S if lacks_nothing else _POLL_S):
                     await self._wake.wait()
+            await asyncio.sleep(_BREATH_S)
+
+    def _look(self, now_ns: int) -> bool:
+        """Ask whom there is to ask; return whether nothing is lacking."""
+        lacks_nothing = True
+        self._unsettled.clear()
+        for node in sorted(self._nodes.all(), key=lambda node: self._asked_time.get(node.node, _NEVER)[1]):
+            is_settled = self._clocks.is_settled(node=node.node, boot=node.boot)
+            lacks_nothing &= is_settled and node.is_introduced
+            if node.last_heard_ns and node.last_heard_ns < now_ns - _SILENT_AFTER_NS:
+                continue
+            if node.last_heard_ns and not is_settled:
+                self._unsettled.setdefault(node.radio, deque()).append(node.node)
+            if self._sender.n_pending(node.node) < _MAX_PENDING:
+                if node.last_heard_ns:
+                    self._ask(node, now_ns, is_settled=is_settled)
+                else:
+                    self._rouse(node, now_ns)
+        for radio in self._unsettled:
+            self._ask_next(radio)
+        return lacks_nothing
 
     def _rouse(self, node: Node, now_ns: int) -> None:
         """Ask a biobot of an earlier process for its hello: until it is heard, its address may be another's."""
@@ -85,17 +110,51 @@ class Inquirer:
             self._health.count("inquiry.hello")
 
     def _ask(self, node: Node, now_ns: int, *, is_settled: bool) -> None:
-        boot, asked_ns = self._asked_time.get(node.node, _NEVER)
-        try:
-            pause_ns = self._sync_period_ns if is_settled else _URGENT_PAUSE_NS
-            if boot != node.boot or asked_ns < now_ns - pause_ns:
-                token = self._clocks.begin_exchange(node=node.node, now_ns=time.monotonic_ns())
-                self._sender.send(node.node, TimeSyncRequest(token=token))
-                self._asked_time[node.node] = (node.boot, now_ns)
-                self._health.count("inquiry.time")
-            elif not node.is_introduced and self._asked_hello_ns.get(node.node, 0) < now_ns - _HELLO_PAUSE_NS:
+        """Ask what is not pressing: how a known clock goes on, and who somebody is."""
+        asked_ns = self._asked_time.get(node.node, _NEVER)[1]
+        if is_settled and asked_ns < now_ns - self._sync_period_ns:
+            self._ask_time(node, now_ns)
+        elif not node.is_introduced and self._asked_hello_ns.get(node.node, 0) < now_ns - _HELLO_PAUSE_NS:
+            try:
                 self._sender.send(node.node, HelloRequest())
-                self._asked_hello_ns[node.node] = now_ns
-                self._health.count("inquiry.hello")
+            except RadioUnavailableError:
+                self._health.count("inquiry.not_sent")
+                return
+            self._asked_hello_ns[node.node] = now_ns
+            self._health.count("inquiry.hello")
+
+    def _ask_next(self, radio: str) -> None:
+        """Ask the next one at a radio whose clock is not known, unless a request is under way there."""
+        queue, now_ns = self._unsettled.get(radio), time.monotonic_ns()
+        future, until_ns = self._under_way.get(radio, (None, 0))
+        if future is not None and not future.done() and now_ns < until_ns:
+            return
+        while queue:
+            node = self._nodes.find(queue.popleft())
+            if node is None or node.radio != radio or self._clocks.is_settled(node=node.node, boot=node.boot):
+                continue
+            boot, asked_ns, n_asked = self._asked_time.get(node.node, _NEVER)
+            if boot == node.boot and now_ns < asked_ns + min(_FIRST_PAUSE_NS << min(n_asked, 8), _LONGEST_PAUSE_NS):
+                continue
+            future = self._ask_time(node, now_ns)
+            if future is not None:
+                self._under_way[radio] = (future, now_ns + _FATE_PATIENCE_NS)
+                future.add_done_callback(lambda _: self._ask_next(radio))
+            return
+
+    def _ask_time(self, node: Node, now_ns: int) -> asyncio.Future[RadioOutcome] | None:
+        """Ask the time; None where the radio takes nothing."""
+
+        def make(sent_ns: int) -> TimeSyncRequest:
+            return TimeSyncRequest(token=self._clocks.begin_exchange(node=node.node, now_ns=sent_ns))
+
+        try:
+            future = self._sender.send_timed(node.node, make)
         except RadioUnavailableError:
             self._health.count("inquiry.not_sent")
+            return None
+        boot, _, n_asked = self._asked_time.get(node.node, _NEVER)
+        is_unsettled = not self._clocks.is_settled(node=node.node, boot=node.boot)
+        self._asked_time[node.node] = (node.boot, now_ns, n_asked + 1 if boot == node.boot and is_unsettled else 0)
+        self._health.count("inquiry.time")
+        return future

@@ -44,10 +44,14 @@ from gateway.sequences import SequenceWindow
 _MAX_BOOTS = 4
 """Lives of one backpack whose messages are still taken: a dongle's queue may hold some from before a restart."""
 
+_ROUGH_PATIENCE_NS = 5 * NS_PER_S
+"""A backpack whose clock could not be settled for so long is believed once the clock is rough: on a line where everything waits, refusing
+what is said makes it be said again, and everything wait longer. Its bounds hold however long messages wait, and its error says how wide."""
+
 _CLOCK_PATIENCE_NS = 60 * NS_PER_S
-"""A backpack whose clock could not be settled for so long (it hears nothing) is believed as it is, with a wide error. Until then it keeps
-what it has. Where a machine or a line is so slow that messages wait for seconds, five were too few: the campaign of faults found times
-17 s from the truth with a bound of 2 s (docs/campaign.md)."""
+"""One that has no bound from below (it hears nothing), or hardly one, is believed only after so long, with a wide error; until then it keeps
+what it has. Where messages wait for seconds, five were too few: the campaign of faults found times 17 s from the truth with a bound of 2 s
+(docs/campaign.md)."""
 
 _OVER_PATIENCE_NS = 5 * NS_PER_S
 """The same for a life that is over: nobody can settle its clock, and nobody keeps its messages."""
@@ -228,7 +232,10 @@ class Intake:
         return barrier
 
     def _must_wait(self, clock: NodeClock, *, now_ns: int, goes_on: bool) -> bool:
-        return not clock.is_settled and now_ns - clock.first_ns < (_CLOCK_PATIENCE_NS if goes_on else _OVER_PATIENCE_NS)
+        if clock.is_settled:
+            return False
+        patience_ns = _OVER_PATIENCE_NS if not goes_on else _ROUGH_PATIENCE_NS if clock.is_rough else _CLOCK_PATIENCE_NS
+        return now_ns - clock.first_ns < patience_ns
 
     def _restore(self) -> None:
         self._nodes.restore(msgspec.msgpack.decode(body, type=NodeMemory) for body in self._reader.read_nodes())

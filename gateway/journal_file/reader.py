@@ -120,6 +120,11 @@ class JournalReader:
                     if isinstance(record, EncounterRecord) and _overlaps(record, from_wall_ns, to_wall_ns):
                         yield record
 
+    def read_latest_end(self) -> int | None:
+        """Return the UTC before which all encounters of the journal ended [ns], or None where there are none."""
+        (end_ns,) = self._connection.execute("SELECT max(max_end) FROM segments WHERE max_end IS NOT NULL").fetchone()
+        return None if end_ns is None else int(end_ns)
+
     def read_reports(self) -> Iterator[UplinkReport]:
         """Yield all uplink messages that are left, in the order in which they were committed."""
         rows = self._connection.execute(
