@@ -84,6 +84,9 @@ bench-gateway: venv  ## encounters through a gateway with eight dongles under lo
 campaign: venv  ## a whole site lives through 1,000 faults; is every one of 1,000,000 encounters in the store? (an hour; resumable; docs/campaign.md)
 	$(PY) -m studies.campaign $(ARGS)
 
+cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the mapper's store complete again? (root; a minute; docs/zenoh.md)
+	$(PY) -m studies.cut_links $(ARGS)
+
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)
 

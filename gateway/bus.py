@@ -130,7 +130,7 @@ class Bus:
         if report.problems or problems:
             raise BusError("; ".join((*report.problems, *problems)))
         access = None if config.roster is None else access_control(members)
-        session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, access=access)
+        session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, timing=config.zenoh, access=access)
         if config.connect and _is_taken(session, build_key(site=config.site, stream=Stream.ALIVE, gateway=config.name)):
             session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
             raise BusError(f"a gateway named {config.name!r} is alive at site {config.site!r} already; give this one another --name")

@@ -8,7 +8,7 @@ import zenoh
 
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
 from firmware_protocol.contract.records import CommandStage, GatewayStatus, StimulationRequest, decode_record, encode_record
-from firmware_protocol.contract.sessions import TlsTable
+from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.errors import KeyExpressionError
 from gateway.bus_session import open_client
 from gateway.errors import CommandError
@@ -18,7 +18,14 @@ _STATUS_POLL_S = 0.02
 
 
 def send_command(
-    request: StimulationRequest, *, site: str, gateway: str | None, connect: Sequence[str], timeout_s: float, tls: TlsTable
+    request: StimulationRequest,
+    *,
+    site: str,
+    gateway: str | None,
+    connect: Sequence[str],
+    timeout_s: float,
+    tls: TlsTable,
+    timing: ZenohTable | None = None,
 ) -> Iterator[CommandStage]:
     """Send a command to a gateway and yield its stages as they come; for the command line.
 
@@ -34,7 +41,7 @@ def send_command(
     BusError
         Nobody can be connected to.
     """
-    with open_client(connect=connect, tls=tls) as session:
+    with open_client(connect=connect, tls=tls, timing=timing) as session:
         name = _find_gateway(session, site=site, gateway=gateway, connect=connect)
         key = build_key(site=site, stream=Stream.COMMAND, gateway=name)
         for reply in session.get(key, payload=encode_record(request), timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE):
@@ -44,7 +51,9 @@ def send_command(
                 raise CommandError(f"gateway {name} answers: {reply.err.payload.to_string()}")
 
 
-def read_status(*, site: str, gateway: str | None, connect: Sequence[str], timeout_s: float, tls: TlsTable) -> GatewayStatus | None:
+def read_status(
+    *, site: str, gateway: str | None, connect: Sequence[str], timeout_s: float, tls: TlsTable, timing: ZenohTable | None = None
+) -> GatewayStatus | None:
     """Return the next status that a gateway publishes, or None where none does in time; for the command line.
 
     Raises
@@ -52,7 +61,7 @@ def read_status(*, site: str, gateway: str | None, connect: Sequence[str], timeo
     BusError
         Nobody can be connected to.
     """
-    with open_client(connect=connect, tls=tls) as session:
+    with open_client(connect=connect, tls=tls, timing=timing) as session:
         channel: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
         with session.declare_subscriber(build_key(site=site, stream=Stream.STATUS, gateway=gateway or ANY), channel) as subscriber:
             deadline = time.monotonic() + timeout_s

@@ -9,7 +9,7 @@ from typing import Final
 import zenoh
 
 from firmware_protocol.contract.handshakes import CertificateFacts
-from firmware_protocol.contract.sessions import CLIENT, ROUTER, TlsTable, session_settings
+from firmware_protocol.contract.sessions import CLIENT, ROUTER, TlsTable, ZenohTable, session_settings
 from gateway.connecting import diagnose_all
 from gateway.errors import BusError
 from gateway.health import Health
@@ -28,7 +28,12 @@ _CERTIFICATE_EVERY_S: Final = 86_400.0
 
 
 def open_service(
-    *, listen: Sequence[str], connect: Sequence[str], tls: TlsTable, access: Mapping[str, object] | None = None
+    *,
+    listen: Sequence[str],
+    connect: Sequence[str],
+    tls: TlsTable,
+    timing: ZenohTable | None = None,
+    access: Mapping[str, object] | None = None,
 ) -> zenoh.Session:
     """Open the session of a service; whom it connects to is waited for in the background, for ever.
 
@@ -37,7 +42,7 @@ def open_service(
     BusError
         An endpoint cannot be listened on, or is none.
     """
-    settings = session_settings(mode=ROUTER, listen=listen, connect=connect, tls=tls)
+    settings = session_settings(mode=ROUTER, listen=listen, connect=connect, tls=tls, timing=timing)
     if access is not None:
         settings["access_control"] = dict(access)
     try:
@@ -46,15 +51,16 @@ def open_service(
         raise BusError(f"Zenoh cannot listen on {list(listen)} and connect to {list(connect)}: {first_sentence(error)}") from error
 
 
-def open_client(*, connect: Sequence[str], tls: TlsTable) -> zenoh.Session:
+def open_client(*, connect: Sequence[str], tls: TlsTable, timing: ZenohTable | None = None) -> zenoh.Session:
     """Open a session that asks something once.
 
     Raises
     ------
     BusError
-        Nobody can be connected to within 3 s; it says why for each endpoint.
+        Nobody can be connected to within 3 s, or one attempt where that takes longer; it says why for each endpoint.
     """
-    settings = session_settings(mode=CLIENT, listen=(), connect=connect, tls=tls, timeout_ms=_CLIENT_TIMEOUT_MS)
+    timeout_ms = max(_CLIENT_TIMEOUT_MS, 0 if timing is None else timing.open_timeout_ms)
+    settings = session_settings(mode=CLIENT, listen=(), connect=connect, tls=tls, timing=timing, timeout_ms=timeout_ms)
     try:
         settings["connect/exit_on_failure"] = True
         return zenoh.open(_config_of(settings))

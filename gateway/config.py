@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from firmware_protocol.contract.sessions import TlsTable
+from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.messages import OWN_CHANNEL
 
 _Seconds = Annotated[float, msgspec.Meta(gt=0, le=86_400)]
@@ -240,7 +240,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         DEBUG, INFO, WARNING or ERROR.
     log_format
         text, json, or auto: text on a terminal, else one JSON object a line.
-    link, encounters, clocks, stimulation, backpacks, mission, recording, retention, monitor, tls
+    link, encounters, clocks, stimulation, backpacks, mission, recording, retention, monitor, tls, zenoh
         Tables of their own.
     """
 
@@ -263,3 +263,4 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     retention: RetentionTable = RetentionTable()
     monitor: MonitorTable = MonitorTable()
     tls: TlsTable = TlsTable()
+    zenoh: ZenohTable = ZenohTable()

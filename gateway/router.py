@@ -83,7 +83,7 @@ class Router:
     def _open(self, members: list[Identity]) -> None:
         config = self._config
         access = None if config.roster is None else access_control(members)
-        self._session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, access=access)
+        self._session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, timing=config.zenoh, access=access)
         self._members = members
         facts = check_tls_files(config.tls, roles=()).facts
         self._watch = ConnectionWatch(self._session, connect=config.connect, tls=config.tls, facts=facts, health=self._health)

@@ -8,7 +8,7 @@ import msgspec
 
 from firmware_protocol.configuration import load_configuration
 from firmware_protocol.contract.access import Role
-from firmware_protocol.contract.sessions import TlsTable, tls_problems
+from firmware_protocol.contract.sessions import TlsTable, ZenohTable, tls_problems
 from firmware_protocol.errors import ConfigurationError
 from gateway.tls_files import check_tls_files, read_roster
 
@@ -27,8 +27,8 @@ class RouterConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         a network that nobody else is on.
     log_level
         DEBUG, INFO, WARNING or ERROR.
-    tls
-        A table of its own.
+    tls, zenoh
+        Tables of their own.
     """
 
     listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
@@ -36,6 +36,7 @@ class RouterConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     roster: str | None = None
     log_level: Annotated[str, msgspec.Meta(pattern="^(DEBUG|INFO|WARNING|ERROR)$")] = "INFO"
     tls: TlsTable = TlsTable()
+    zenoh: ZenohTable = ZenohTable()
 
 
 def load_router_config(*, toml_path: Path | None, environment: Mapping[str, str], flags: Mapping[str, object]) -> RouterConfig:

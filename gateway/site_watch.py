@@ -12,7 +12,7 @@ import zenoh
 
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
 from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, decode_record
-from firmware_protocol.contract.sessions import TlsTable
+from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.errors import KeyExpressionError, RecordError
 from gateway.bus_session import ConnectionWatch, open_service
 from gateway.health import Health
@@ -45,7 +45,7 @@ class SiteWatch:
         ]
 
     @classmethod
-    def open(cls, *, site: str, gateway: str | None, connect: Sequence[str], tls: TlsTable) -> Self:
+    def open(cls, *, site: str, gateway: str | None, connect: Sequence[str], tls: TlsTable, timing: ZenohTable | None = None) -> Self:
         """Listen from now on; a gateway or router that is not there yet is connected to when it comes.
 
         Raises
@@ -53,7 +53,7 @@ class SiteWatch:
         BusError
             ``connect`` is no endpoint.
         """
-        session = open_service(listen=(), connect=connect, tls=tls)
+        session = open_service(listen=(), connect=connect, tls=tls, timing=timing)
         watch = ConnectionWatch(session, connect=connect, tls=tls, facts=None, health=Health())
         return cls(session, watch=watch, site=site, gateway=gateway)
 

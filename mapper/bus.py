@@ -30,7 +30,7 @@ from firmware_protocol.contract.records import (
     decode_record,
     encode_record,
 )
-from firmware_protocol.contract.sessions import ROUTER, TlsTable, session_settings
+from firmware_protocol.contract.sessions import ROUTER, TlsTable, ZenohTable, session_settings
 from firmware_protocol.errors import KeyExpressionError, RecordError
 from mapper.errors import BusError, QueryError
 from mapper.log import EventLog
@@ -77,7 +77,14 @@ class Bus:
 
     @classmethod
     async def open(
-        cls, *, site: str, connect: tuple[str, ...], listen: tuple[str, ...], tls: TlsTable | None = None, name: str = "mapper1"
+        cls,
+        *,
+        site: str,
+        connect: tuple[str, ...],
+        listen: tuple[str, ...],
+        tls: TlsTable | None = None,
+        timing: ZenohTable | None = None,
+        name: str = "mapper1",
     ) -> Self:
         """Join the bus; gateways and routers that are not there yet are connected to when they come.
 
@@ -88,7 +95,7 @@ class Bus:
         """
         bus = cls(site=site, loop=asyncio.get_running_loop())
         try:
-            config = _session_config(connect=connect, listen=listen, tls=tls or TlsTable())
+            config = _session_config(connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing)
             bus._session = await asyncio.to_thread(zenoh.open, config)
             await asyncio.to_thread(bus._declare, name)
         except zenoh.ZError as error:
@@ -270,9 +277,9 @@ def _decode_payload(key: Key, payload: bytes) -> RecordBatch | GatewayStatus | N
             return decode_record(payload, RecordBatch)
 
 
-def _session_config(*, connect: tuple[str, ...], listen: tuple[str, ...], tls: TlsTable) -> zenoh.Config:
+def _session_config(*, connect: tuple[str, ...], listen: tuple[str, ...], tls: TlsTable, timing: ZenohTable | None) -> zenoh.Config:
     config = zenoh.Config()
-    for name, value in session_settings(mode=ROUTER, listen=listen, connect=connect, tls=tls).items():
+    for name, value in session_settings(mode=ROUTER, listen=listen, connect=connect, tls=tls, timing=timing).items():
         config.insert_json5(name, json.dumps(value))
     return config
 

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from firmware_protocol.configuration import Unfit, load_configuration
 from firmware_protocol.contract.keys import check_name
-from firmware_protocol.contract.sessions import TlsTable
+from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
 from mapper.types import Method, MetricKind, ProfileNorm, Recipe
 
@@ -165,13 +165,14 @@ class MapperConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     Keys
     ----
-    recipe, serve
+    recipe, serve, tls, zenoh
         Tables of their own.
     """
 
     recipe: RecipeConfig = RecipeConfig()
     serve: ServiceConfig = ServiceConfig()
     tls: TlsTable = TlsTable()
+    zenoh: ZenohTable = ZenohTable()
 
 
 def load_mapper_config(

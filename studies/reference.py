@@ -3,9 +3,12 @@
 ``python -m studies.reference > docs/reference.md``; a test compares what it finds with the file.
 """
 
+import contextlib
+import importlib
+import io
 import os
-import subprocess
 import sys
+from collections.abc import Iterator
 from enum import Enum
 
 import msgspec
@@ -66,9 +69,22 @@ VARIABLES: dict[str, tuple[type[Enum], str]] = {
 
 def help_text(module: str, command: str | None) -> str:
     """Return what ``python -m module [command] --help`` prints."""
-    arguments = [sys.executable, "-m", module, *([command] if command else []), "--help"]
-    environment = {**os.environ, "COLUMNS": "110", "NO_COLOR": "1", "PYTHON_COLORS": "0"}
-    return subprocess.run(arguments, env=environment, check=True, capture_output=True, text=True).stdout
+    main = importlib.import_module(f"{module}.__main__").main
+    with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit), _plain_terminal():
+        main([*([command] if command else []), "--help"])
+    return text.getvalue()
+
+
+@contextlib.contextmanager
+def _plain_terminal() -> Iterator[None]:
+    """Have argparse write for 110 columns without colours."""
+    before = dict(os.environ)
+    os.environ.update(COLUMNS="110", NO_COLOR="1", PYTHON_COLORS="0")
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def reference() -> str:

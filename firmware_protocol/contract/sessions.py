@@ -5,7 +5,7 @@ a link agree on its timing.
 """
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Annotated, Final
 
 import msgspec
 
@@ -20,11 +20,8 @@ SECURE_PREFIXES: Final = ("tls/", "quic/")
 LEASE_MS: Final = 2000
 """A link that is silent for so long is closed; Zenoh's own 10 s makes a cut link heal 9 s later (measured)."""
 
-OPEN_TIMEOUT_MS: Final = 700
-"""An attempt to connect is given up after this. The kernel repeats a lost SYN after 1 s only: a new attempt finds a healed link sooner."""
-
 RETRY_MS: Final = {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 2}
-"""Pause between two attempts: with `OPEN_TIMEOUT_MS`, a healed link is found within 0.9 s."""
+"""Pause between two attempts: with an ``open_timeout_ms`` of 700, a healed link is found within 0.9 s."""
 
 _MAX_PORT: Final = 65_535
 
@@ -34,7 +31,6 @@ _COMMON: Final[dict[str, object]] = {
     "transport/shared_memory/enabled": False,
     "timestamping/enabled": True,
     "transport/link/tx/lease": LEASE_MS,
-    "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
     "connect/retry": RETRY_MS,
     "connect/exit_on_failure": False,
     "listen/timeout_ms": 0,
@@ -64,6 +60,19 @@ class TlsTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def is_set(self) -> bool:
         """Say whether anything is secured."""
         return self.ca is not None
+
+
+class ZenohTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How patient connections are (docs/zenoh.md, Timing).
+
+    Keys
+    ----
+    open_timeout_ms
+        An attempt to connect is given up after this. The kernel repeats a lost SYN after 1 s only, so a short one finds a healed link
+        sooner; over a line with a round trip above 150 ms, as by satellite, TLS takes longer than 700 ms: 3000 or so is needed.
+    """
+
+    open_timeout_ms: Annotated[int, msgspec.Meta(ge=100, le=60_000)] = 700
 
 
 def tls_problems(tls: TlsTable, *, listen: Sequence[str], connect: Sequence[str]) -> list[str]:
@@ -98,13 +107,17 @@ def host_and_port(endpoint: str) -> tuple[str, int] | None:
     return host.removeprefix("[").removesuffix("]"), int(port)
 
 
-def session_settings(*, mode: str, listen: Sequence[str], connect: Sequence[str], tls: TlsTable, timeout_ms: int = -1) -> dict[str, object]:
+def session_settings(
+    *, mode: str, listen: Sequence[str], connect: Sequence[str], tls: TlsTable, timing: ZenohTable | None = None, timeout_ms: int = -1
+) -> dict[str, object]:
     """Return Zenoh's configuration keys and values for one session.
 
     Parameters
     ----------
     mode
         `CLIENT` or `ROUTER`.
+    timing
+        None: as it is by default.
     timeout_ms
         How long a client waits for a router before opening fails; -1: for ever. A router never waits.
     """
@@ -114,6 +127,7 @@ def session_settings(*, mode: str, listen: Sequence[str], connect: Sequence[str]
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
         "connect/timeout_ms": timeout_ms,
+        "transport/unicast/open_timeout": (timing or ZenohTable()).open_timeout_ms,
     }
     if tls.ca is not None:
         settings["transport/link/tls/root_ca_certificate"] = tls.ca

@@ -29,7 +29,7 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--site", help="name of the site (default: local)")
     parser.add_argument("--connect", action="append", metavar="EP", help=f"Zenoh endpoint (default: {ENDPOINT})")
     # SUPPRESS: what was given before the command stays when it is not given again after it.
-    help_text = "TOML file with site, connect and [tls]; flags win over it"
+    help_text = "TOML file with site, connect, [tls] and [zenoh]; flags win over it"
     parser.add_argument("--config", type=Path, metavar="FILE", default=argparse.SUPPRESS, help=help_text)
     parser.add_argument("--tls-ca", metavar="FILE", help="certificate of the authority, for tls/ endpoints")
     parser.add_argument("--tls-certificate", metavar="FILE", help="what is shown of oneself")
@@ -74,7 +74,15 @@ def command(options: argparse.Namespace) -> int:
         )
         raise ConfigurationError([f"command: {told}; biobot-gateway command --help tells more"]) from error
     outcome: Stage | None = None
-    stages = send_command(request, site=way.site, gateway=options.gateway, connect=way.connect, tls=way.tls, timeout_s=_COMMAND_TIMEOUT_S)
+    stages = send_command(
+        request,
+        site=way.site,
+        gateway=options.gateway,
+        connect=way.connect,
+        tls=way.tls,
+        timing=way.zenoh,
+        timeout_s=_COMMAND_TIMEOUT_S,
+    )
     for stage in stages:
         outcome = stage.stage
         print(json.dumps(msgspec.to_builtins(stage)), flush=True)

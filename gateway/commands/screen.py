@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from rich.console import Console, RenderableType
 from rich.live import Live
 
-from firmware_protocol.contract.sessions import TlsTable
 from gateway.commands.outcome import DONE, FAILED
+from gateway.config import GatewayConfig
 from gateway.site_view import SiteView
 from gateway.site_watch import SiteWatch
 from gateway.status_screen import draw
@@ -22,17 +22,17 @@ _POLL_S = 0.05
 _REFRESH_S = 0.5
 
 
-def show(*, site: str, gateway: str | None, connect: Sequence[str], tls: TlsTable, is_once: bool) -> int:
-    """Show how the gateways of a site stand; returns the exit status: whether one was heard.
+def show(way: GatewayConfig, *, gateway: str | None, is_once: bool) -> int:
+    """Show how the gateways of a site stand, over the way to it; returns the exit status: whether one was heard.
 
     A terminal that cannot move its cursor gets one picture.
     """
     console = Console(highlight=False)
     # What the watch over the connection would log is in the picture, which lines among it would tear.
     logging.disable(logging.CRITICAL)
-    watch = SiteWatch.open(site=site, gateway=gateway, connect=connect, tls=tls)
+    watch = SiteWatch.open(site=way.site, gateway=gateway, connect=way.connect, tls=way.tls, timing=way.zenoh)
     try:
-        screen = Screen(watch=watch, site=site, connect=connect)
+        screen = Screen(watch=watch, site=way.site, connect=way.connect)
         return screen.draw_once(console) if is_once or console.is_dumb_terminal else screen.keep_drawing(console)
     finally:
         watch.close()

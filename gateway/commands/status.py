@@ -29,13 +29,13 @@ def status(options: argparse.Namespace) -> int:
         return _print_json(way, gateway=options.gateway)
     from gateway.commands.screen import show  # noqa: PLC0415  # rich and Zenoh, 33 MB, which --help does not need
 
-    return show(site=way.site, gateway=options.gateway, connect=way.connect, tls=way.tls, is_once=options.once)
+    return show(way, gateway=options.gateway, is_once=options.once)
 
 
 def _print_json(way: GatewayConfig, *, gateway: str | None) -> int:
     from gateway.bus_client import read_status  # noqa: PLC0415  # same
 
-    found = read_status(site=way.site, gateway=gateway, connect=way.connect, tls=way.tls, timeout_s=_TIMEOUT_S)
+    found = read_status(site=way.site, gateway=gateway, connect=way.connect, tls=way.tls, timing=way.zenoh, timeout_s=_TIMEOUT_S)
     if found is None:
         complain(f"no gateway has told its status within {_TIMEOUT_S:g} s; is it running, and are --site and --connect its own?")
         return FAILED
