@@ -1,5 +1,7 @@
 """The command line as a user meets it."""
 
+import contextlib
+import io
 import json
 import os
 import signal
@@ -9,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway.__main__ import main
 from studies.reference import COMMANDS
 from tests.gateway.harness import free_port
 
@@ -27,9 +30,33 @@ def _gateway(*arguments: str, cwd: Path, env: dict[str, str] | None = None) -> s
     )
 
 
+def _in_process(*arguments: str, cwd: Path, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """Do the same where no second process is needed: an interpreter takes a second to start, and there are many cases."""
+    out, err, before = io.StringIO(), io.StringIO(), dict(os.environ)
+    os.environ.update({"COLUMNS": "80", **(env or {})})
+    try:
+        with contextlib.chdir(cwd), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            status = main(list(arguments))
+    except SystemExit as leaving:
+        status = int(leaving.code or 0)
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+    return subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
+
+
+def _status(endpoint: str, *, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Ask a gateway that is starting; each try waits some seconds for it."""
+    for _ in range(20):
+        told = _in_process("status", "--connect", endpoint, cwd=cwd)
+        if told.returncode == 0:
+            break
+    return told
+
+
 def test_help_fits_one_screen_and_version_is_told(tmp_path: Path) -> None:
     for arguments in (["--help"], *([command, "--help"] for command in COMMANDS["biobot-gateway"][1])):
-        result = _gateway(*arguments, cwd=tmp_path)
+        result = _in_process(*arguments, cwd=tmp_path)
         assert result.returncode == 0
         assert len(result.stdout.splitlines()) <= 45
     assert _gateway("--version", cwd=tmp_path).stdout.startswith("biobot-gateway ")
@@ -38,7 +65,7 @@ def test_help_fits_one_screen_and_version_is_told(tmp_path: Path) -> None:
 def test_flags_win_over_the_environment_and_that_over_the_file(tmp_path: Path) -> None:
     file = tmp_path / "gateway.toml"
     file.write_text('name = "from_file"\nsite = "from_file"\njournal = "f.sqlite"\n[stimulation]\nmin_gap_s = 4.0\n')
-    result = _gateway(
+    result = _in_process(
         "run",
         "--config",
         str(file),
@@ -79,7 +106,7 @@ def test_flags_win_over_the_environment_and_that_over_the_file(tmp_path: Path) -
 def test_a_wrong_configuration_is_told_and_is_exit_2(tmp_path: Path, toml: str, arguments: list[str], word: str) -> None:
     file = tmp_path / "gateway.toml"
     file.write_text(toml)
-    result = _gateway("run", "--config", str(file), "--port", "tcp:127.0.0.1:1", *arguments, "--check-config", cwd=tmp_path)
+    result = _in_process("run", "--config", str(file), "--port", "tcp:127.0.0.1:1", *arguments, "--check-config", cwd=tmp_path)
     assert result.returncode == 2
     assert word in result.stderr
     assert "Traceback" not in result.stderr
@@ -94,7 +121,7 @@ def test_no_port_a_missing_file_and_bad_usage_are_exit_2(tmp_path: Path) -> None
         (["command", "-7", "stop"], "node is -7"),
         (["command", "7", "stop", "--ttl-ms", "0"], "--ttl-ms is 0"),
     ):
-        result = _gateway(*arguments, cwd=tmp_path)
+        result = _in_process(*arguments, cwd=tmp_path)
         assert (result.returncode, "Traceback" in result.stderr) == (2, False), result.stderr
         assert word in result.stderr
 
@@ -104,7 +131,7 @@ def test_a_journal_that_cannot_be_used_and_a_gateway_that_is_not_there_are_exit_
     result = _gateway("run", "--port", "tcp:127.0.0.1:1", "--journal", "text", cwd=tmp_path)
     assert (result.returncode, "Traceback" in result.stderr) == (1, False)
     assert "journal text: is no journal" in result.stderr
-    result = _gateway("command", "7", "stop", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path)
+    result = _in_process("command", "7", "stop", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path)
     assert (result.returncode, "Traceback" in result.stderr) == (1, False)
     assert "nobody listens there" in result.stderr
 
@@ -122,7 +149,7 @@ def test_a_gateway_with_no_dongle_runs_answers_and_stops_on_sigterm(tmp_path: Pa
         lines = [json.loads(gateway.stderr.readline()) for _ in range(2)]
         assert [line["event"] for line in lines] == ["gateway.started", "radio.down"]
         assert "list-ports" in lines[1]["reason"]
-        result = _gateway("command", "7", "stop", "--connect", endpoint, cwd=tmp_path)
+        result = _in_process("command", "7", "stop", "--connect", endpoint, cwd=tmp_path)
         assert result.returncode == 1
         (stage,) = map(json.loads, result.stdout.splitlines())
         assert (stage["stage"], stage["node"]) == ("refused", 7)
@@ -137,12 +164,12 @@ def test_a_configuration_can_be_checked_without_a_command(tmp_path: Path) -> Non
     file = tmp_path / "gateway.toml"
     file.write_text('site = "ruin"\n')
 
-    result = _gateway("--config", str(file), "--check-config", cwd=tmp_path)
+    result = _in_process("--config", str(file), "--check-config", cwd=tmp_path)
 
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout)["site"] == "ruin"
     file.write_text('sight = "ruin"\n')
-    result = _gateway("--config", str(file), "--check-config", cwd=tmp_path)
+    result = _in_process("--config", str(file), "--check-config", cwd=tmp_path)
     assert result.returncode == 2
     assert "sight" in result.stderr
 
@@ -152,7 +179,7 @@ def test_a_second_gateway_of_the_same_name_at_a_site_is_refused(tmp_path: Path) 
     command = [sys.executable, "-m", "gateway", "run", "--port", "tcp:127.0.0.1:1", "--listen", endpoint]
     with subprocess.Popen(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(_ROOT)}, stderr=subprocess.DEVNULL) as gateway:
         try:
-            while "is connecting" in (told := _gateway("status", "--connect", endpoint, cwd=tmp_path)).stdout:
+            while "is connecting" in (told := _status(endpoint, cwd=tmp_path)).stdout:
                 pass  # the first status may be told before the radio was tried
             other = ["run", "--port", "tcp:127.0.0.1:1", "--journal", "b.sqlite", "--listen", f"tcp/127.0.0.1:{free_port()}"]
             result = _gateway(*other, "--connect", endpoint, cwd=tmp_path)
@@ -167,14 +194,14 @@ def test_a_second_gateway_of_the_same_name_at_a_site_is_refused(tmp_path: Path) 
 
 
 def test_no_command_is_bad_usage(tmp_path: Path) -> None:
-    result = _gateway(cwd=tmp_path)
+    result = _in_process(cwd=tmp_path)
 
     assert result.returncode == 2
     assert "list-ports" in result.stderr
 
 
 def test_the_status_of_a_gateway_that_is_not_there_fails_and_says_what_to_look_at(tmp_path: Path) -> None:
-    result = _gateway("status", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path)
+    result = _in_process("status", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path)
 
     assert result.returncode == 1
     assert "--connect" in result.stderr
@@ -186,7 +213,7 @@ def test_the_status_of_a_running_gateway_is_printed(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gateway", "run", "--port", "tcp:127.0.0.1:1", "--listen", endpoint, "--name", "base7"]
     with subprocess.Popen(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(_ROOT)}, stderr=subprocess.DEVNULL) as gateway:
         try:
-            result = _gateway("status", "--connect", endpoint, cwd=tmp_path)
+            result = _status(endpoint, cwd=tmp_path)
         finally:
             gateway.send_signal(signal.SIGTERM)
 
