@@ -23,11 +23,13 @@ class JointEncounter:
 class EncounterPage:
     """Encounters in the order in which they were last changed; ``cursor`` of the last one asks for what follows.
 
-    Beside each record: what is added to its gateway's wall clock [ns], and what it is a part of; None where it is alone.
+    Beside each record: what is added to its gateway's wall clock [ns], how wrong that may be [ns], and what it is a part of; None where it
+    is alone.
     """
 
     records: tuple[EncounterRecord, ...]
     shifts_ns: tuple[int, ...]
+    bounds_ns: tuple[int, ...]
     joint: tuple[JointEncounter | None, ...]
     cursor: int
     has_more: bool
@@ -42,6 +44,7 @@ def read_page(database: sqlite3.Connection, site: SiteView, *, kind: int, after:
     return EncounterPage(
         records=tuple(record for _, record in rows),
         shifts_ns=tuple(_shift_of(site, row, record) for row, record in rows),
+        bounds_ns=tuple(site.clock_bound(record.gateway, record.wall_anchor_ns) for _, record in rows),
         joint=tuple(_joint_of(database, site, row) for row, _ in rows),
         cursor=found[:limit][-1][1] if found else after,
         has_more=len(found) > limit,

@@ -12,8 +12,10 @@ import numpy as np
 from firmware_protocol.contract.records import EncounterRecord, MissionRecord, ModeRecord
 from mapper.clock_samples import SampledRows, number_pairs
 from mapper.clock_votes import ClockDifference
+from mapper.errors import StoreError
 from mapper.gateway_clocks import GatewayClocks, Source, SourceClock
 from mapper.joint_encounters import JointEncounters
+from mapper.log import EventLog
 from mapper.mode_spells import ModeSpells
 from mapper.record_columns import (
     MAX_WALL_NS,
@@ -27,6 +29,8 @@ from mapper.record_columns import (
 from mapper.row_loader import LoadedEncounters
 from mapper.types import BoolArray, IntArray
 
+_log = EventLog(__name__)
+
 _FIRST_CAPACITY = 1024
 _MANY = 0.1
 """Where more than this share of all encounters moves, joining all anew takes less time than one by one."""
@@ -38,7 +42,8 @@ class SiteView:
     Parameters
     ----------
     load
-        Reads all encounters in the store: when it is opened, and once more when a second gateway comes.
+        Reads all encounters in the store: when it is opened, and once more when a second gateway comes. What it raises as ``StoreError``
+        then is tried again later.
     """
 
     def __init__(self, load: Callable[[], Iterable[LoadedEncounters]]) -> None:
@@ -58,6 +63,7 @@ class SiteView:
         self._raw: IntArray = np.zeros((8, _FIRST_CAPACITY), dtype=np.int64)
         self._n_rows = 0
         self._is_joining = False
+        self._is_unread = False
 
     def number_source(self, gateway: str, anchor_ns: int) -> int:
         """Return the number of one start of a gateway, a new one for a new one."""
@@ -99,10 +105,10 @@ class SiteView:
             self._take(encounters.row, change=change)
             if self._clocks.is_overfull:
                 self.settle(change=change)
-        elif len(self._known) > 1:
-            self._begin_joining(change=change, with_changes=False)
-        else:
-            self.encounters.put(make_rows(rows, records), changes=changes)
+            return
+        self.encounters.put(make_rows(rows, records), changes=changes)
+        if len(self._known) > 1:
+            self._try_to_join(change=change)
 
     def take_other(self, row: int, record: ModeRecord | MissionRecord, *, change: int) -> None:
         """Take a mode or a phase of a mission; changes come in ascending order."""
@@ -112,13 +118,21 @@ class SiteView:
 
     def settle(self, *, change: int) -> None:
         """Judge the gateways' clocks anew; where a shift is another one now, all that is of that gateway is set by ``change``."""
-        moved = self._clocks.settle(self._read)
+        if not self._is_joining and len(self._known) > 1:
+            self._try_to_join(change=change)
+        moved = self._clocks.settle(self._read) if self._is_joining else frozenset()
         if not moved:
             return
         self._move(change=change)
         for row, record in self._raw_others.items():
             if self._sources[record.gateway, record.wall_anchor_ns] in moved:
                 self._put_other(row, record, change=change)
+
+    def clock_bound(self, gateway: str, anchor_ns: int) -> int:
+        """Return how wrong the shift of one start of a gateway may be [ns]; 0 where nothing is shifted."""
+        number = self._sources.get((gateway, anchor_ns))
+        shift = None if number is None else self._clocks.shift(number)
+        return 0 if shift is None else shift.bound_ns
 
     def clocks(self) -> tuple[SourceClock, ...]:
         """Say how each start of each gateway stands to the site's clock, as last settled."""
@@ -128,14 +142,27 @@ class SiteView:
         """Return the rows of the encounter that a row tells of, that which stands for it first."""
         return self._joint.members(row)
 
+    def _try_to_join(self, *, change: int) -> None:
+        """Begin to join; where the store cannot be read, each gateway's encounters count by themselves until it can."""
+        try:
+            self._begin_joining(change=change, with_changes=False)
+        except StoreError as error:
+            if not self._is_unread:
+                _log.error("site.unjoined", reason=str(error))
+            self._is_unread = True
+            return
+        if self._is_unread:
+            _log.warning("site.joined")
+            self._is_unread = False
+
     def _begin_joining(self, *, change: int, with_changes: bool) -> None:
         """Load all that the store has, to make up for what one gateway alone did not need."""
-        self._is_joining = True
         for loaded in self._load():
             if len(loaded.rows):
                 self._remember(loaded.rows, loaded.origins(number_source=self.number_source))
                 if with_changes:
                     self.encounters.put(loaded.rows, changes=loaded.changes)
+        self._is_joining = True
         self._note(self._present())
         self._rebuild(change=change)
 

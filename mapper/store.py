@@ -33,7 +33,7 @@ from mapper.offsets import OffsetSet
 from mapper.record_columns import is_fit, wall_interval
 from mapper.record_rows import RecordRows
 from mapper.replica import StoreDelta
-from mapper.row_loader import load_encounters
+from mapper.row_loader import LoadedEncounters, load_encounters
 from mapper.site_view import SiteView
 from mapper.store_file import open_store_file, random_name, store_name, translate
 
@@ -300,7 +300,7 @@ class Store:
                 self._db.execute("ROLLBACK")
 
     def _load(self) -> None:
-        self._site = SiteView(lambda: load_encounters(self._db, kind=Kind.ENCOUNTER))
+        self._site = SiteView(self._read_encounters)
         self._clocks: tuple[SourceClock, ...] = ()
         self._sources: dict[tuple[str, str], _Source] = {}
         others = self._db.execute("SELECT id, change, body FROM record WHERE kind <> ? ORDER BY change", (Kind.ENCOUNTER,))
@@ -316,6 +316,12 @@ class Store:
             spans = self._db.execute("SELECT first, last FROM span WHERE source = ?", (source_id,)).fetchall()
             offsets = OffsetSet(watermark=watermark, spans=spans)
             self._sources[name, journal] = _Source(id=source_id, gateway_id=gateway_id, offsets=offsets, has_spans=bool(spans))
+
+    def _read_encounters(self) -> Iterator[LoadedEncounters]:
+        try:
+            yield from load_encounters(self._db, kind=Kind.ENCOUNTER)
+        except (sqlite3.Error, RecordError) as error:
+            raise translate(error, path=self._path) from error
 
     def _remember(self, fresh: Sequence[tuple[int, int, JournalRecord]]) -> None:
         """Put records into memory; of several of one row, the last."""

@@ -157,8 +157,8 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
         return json_response(
             {
                 "encounters": [
-                    view_encounter(record, shift_ns=shift_ns, joint=joint)
-                    for record, shift_ns, joint in zip(page.records, page.shifts_ns, page.joint, strict=True)
+                    view_encounter(record, shift_ns=shift_ns, bound_ns=bound_ns, joint=joint)
+                    for record, shift_ns, bound_ns, joint in zip(page.records, page.shifts_ns, page.bounds_ns, page.joint, strict=True)
                 ],
                 "cursor": page.cursor,
                 "next": page.cursor if page.has_more else None,

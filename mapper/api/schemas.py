@@ -175,7 +175,7 @@ class EncounterItem(_Answer):
     t_start_wall_ns: int
     t_end_wall_ns: int
     clock_shift_ns: int = Field(description="Of these instants, what was added to the gateway's own wall clock")
-    error_ns: int
+    error_ns: int = Field(description="Neither instant is wrong by more, what was added included")
     is_reciprocal: bool
     is_ongoing: bool
     is_void: bool

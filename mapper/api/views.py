@@ -114,8 +114,8 @@ def view_map_status(status: MapStatus) -> dict[str, object]:
     }
 
 
-def view_encounter(record: EncounterRecord, *, shift_ns: int, joint: JointEncounter | None) -> dict[str, object]:
-    """Describe an encounter, its instants on the site's wall clock: that of its gateway and ``shift_ns``."""
+def view_encounter(record: EncounterRecord, *, shift_ns: int, bound_ns: int, joint: JointEncounter | None) -> dict[str, object]:
+    """Describe an encounter, its instants on the site's wall clock: that of its gateway and ``shift_ns``, wrong by up to ``bound_ns``."""
     return {
         "gateway": record.gateway,
         "boot": record.boot,
@@ -126,7 +126,7 @@ def view_encounter(record: EncounterRecord, *, shift_ns: int, joint: JointEncoun
         "t_start_wall_ns": record.t_start_ns + record.wall_anchor_ns + shift_ns,
         "t_end_wall_ns": record.t_end_ns + record.wall_anchor_ns + shift_ns,
         "clock_shift_ns": shift_ns,
-        "error_ns": record.error_ns,
+        "error_ns": record.error_ns + bound_ns,
         "is_reciprocal": record.is_reciprocal,
         "is_ongoing": record.is_ongoing,
         "is_void": record.is_void,

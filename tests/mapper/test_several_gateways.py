@@ -1,19 +1,26 @@
 """Several gateways of one site: each encounter once, all on one clock, whatever came first."""
 
+import sqlite3
+from collections.abc import Iterator
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 
 import msgspec.structs
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.contract.records import EncounterRecord, MissionPhase, MissionRecord, ModeRecord
 from firmware_protocol.units import Nanoseconds
+from mapper.clock_votes import FLOOR_NS
+from mapper.errors import StoreError
 from mapper.mode_spells import ModeSpells
 from mapper.replica import Replica
-from mapper.store import Store
+from mapper.row_loader import LoadedEncounters, load_encounters
+from mapper.site_view import SiteView
+from mapper.store import Kind, Store
 from tests.mapper.fake_gateway import ANCHOR_NS, S, batch, encounter, mission, mode
 from tests.mapper.site import Meeting, batches, encounters_of, heard, meetings, offsets_s
 
@@ -252,3 +259,40 @@ def test_a_piece_grows_by_a_record_that_bridges_two() -> None:
         assert len(encounters_of(store)) == 2
         store.apply(batches(heard([bridge], gateway="south")))
         assert encounters_of(store) == [(0, 12 * S, 1, 2)]
+
+
+def test_a_page_tells_how_wrong_the_clock_that_was_set_right_may_be() -> None:
+    what = meetings(100, seed=11)
+    with closing(Store(None)) as store:
+        store.apply(batches([*heard(what, gateway="north"), *heard(what, gateway="south", ahead_s=300)]))
+        bounds = {clock.source.gateway: clock.bound_ns for clock in store.clocks} if store.delta(after=0) else {}
+        page = store.encounters(after=0, limit=1000)
+        told = {record.gateway: bound for record, bound in zip(page.records, page.bounds_ns, strict=True)}
+        assert told == {"north": 0, "south": bounds["south"]}
+        assert bounds["south"] >= FLOOR_NS
+
+
+def test_a_store_that_cannot_be_read_when_a_second_gateway_comes_is_read_later(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Until then each gateway's encounters count by themselves, and nothing ends."""
+    one, other = encounter(1, t_ns=(0, 4 * S), gateway="north"), encounter(1, t_ns=(3 * S, 6 * S), gateway="south")
+    again = msgspec.structs.replace(other, offset=2, revision=1)
+    with closing(Store(tmp_path / "store")) as store:
+        store.apply(batches([one, other, again]))
+    disk_is_sick = True
+
+    def load() -> Iterator[LoadedEncounters]:
+        if disk_is_sick:
+            raise StoreError(path="store", reason="cannot be used: disk I/O error", next_step="look at the disk")
+        with closing(sqlite3.connect(tmp_path / "store")) as database:
+            yield from load_encounters(database, kind=Kind.ENCOUNTER)
+
+    site = SiteView(load)
+    site.take_encounters([1], [one], changes=np.array([1]))
+    for change, record in ((2, other), (3, again)):
+        site.take_encounters([2], [record], changes=np.array([change]))
+        assert (site.encounters.n_counting, site.is_joining) == (2, False)
+    assert [record.getMessage() for record in caplog.records] == ["site.unjoined"], "said once"
+    disk_is_sick = False
+    site.settle(change=4)
+    assert (site.encounters.n_counting, site.is_joining) == (1, True)
+    assert site.members(2) == (1, 2)
