@@ -47,11 +47,13 @@ class EncounterRows:
 class EncounterOrigins:
     """Where encounters come from, and what joins them to others; arrays of shape (m,), beside an `EncounterRows`.
 
-    ``source`` is the number of a start of a gateway; ``margin_ns`` as in CONTRACT.md §3; ``is_final``: the encounter was not under way.
+    ``source`` is the number of a start of a gateway; ``margin_ns`` and ``error_ns`` as in CONTRACT.md §3, the latter at most the longest
+    margin; ``is_final``: the encounter was not under way.
     """
 
     source: IntArray
     margin_ns: IntArray
+    error_ns: IntArray
     is_final: BoolArray
 
 
@@ -112,11 +114,18 @@ def limit_margins(*, margin_ns: Sequence[int], error_ns: Sequence[int]) -> IntAr
     return limited
 
 
+def limit_errors(error_ns: Sequence[int]) -> IntArray:
+    """Return how wrong the ends of records may be [ns], shape (m,), of numbers of any size."""
+    limited: IntArray = np.clip(np.array(error_ns, dtype=np.float64), 0, _MAX_MARGIN_NS).astype(np.int64)
+    return limited
+
+
 def make_origins(records: Sequence[EncounterRecord], *, number_source: Callable[[str, int], int]) -> EncounterOrigins:
     """Say where records come from; ``number_source`` gives the number of a gateway's start by name and anchor."""
     return EncounterOrigins(
         source=np.array([number_source(record.gateway, record.wall_anchor_ns) for record in records], dtype=np.int64),
         margin_ns=limit_margins(margin_ns=[record.margin_ns for record in records], error_ns=[record.error_ns for record in records]),
+        error_ns=limit_errors([record.error_ns for record in records]),
         is_final=np.array([not record.is_ongoing for record in records], dtype=np.bool_),
     )
 

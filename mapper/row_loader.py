@@ -10,7 +10,7 @@ import numpy as np
 
 from firmware_protocol.errors import RecordError
 from mapper.log import EventLog
-from mapper.record_columns import EncounterOrigins, EncounterRows, is_fit_for_columns, limit_margins
+from mapper.record_columns import EncounterOrigins, EncounterRows, is_fit_for_columns, limit_errors, limit_margins
 from mapper.types import IntArray
 
 _log = EventLog(__name__)
@@ -52,6 +52,7 @@ class LoadedEncounters:
         return EncounterOrigins(
             source=np.array([numbers[start] for start in starts], dtype=np.int64),
             margin_ns=limit_margins(margin_ns=margin_ns, error_ns=error_ns),
+            error_ns=limit_errors(error_ns),
             is_final=~np.array([record.is_ongoing for record in self._records], dtype=np.bool_),
         )
 

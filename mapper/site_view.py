@@ -14,7 +14,7 @@ from mapper.clock_samples import SampledRows, number_pairs
 from mapper.clock_votes import ClockDifference
 from mapper.errors import StoreError
 from mapper.gateway_clocks import GatewayClocks, Source, SourceClock
-from mapper.joint_encounters import JointEncounters
+from mapper.joint_encounters import JointEncounters, ToldRows
 from mapper.log import EventLog
 from mapper.mode_spells import ModeSpells
 from mapper.record_columns import (
@@ -59,8 +59,9 @@ class SiteView:
         self._names: dict[int, str] = {}
         self._gateway_of: list[int] = []
         self._raw_others: dict[int, ModeRecord | MissionRecord] = {}
-        # Rows: begin, end [ns, gateway's wall clock], the two ids, whether it counts, margin [ns], source, whether its end is final.
-        self._raw: IntArray = np.zeros((8, _FIRST_CAPACITY), dtype=np.int64)
+        # Rows: begin, end [ns, gateway's wall clock], the two ids, whether it counts, margin [ns], source, whether its end is final,
+        # error [ns].
+        self._raw: IntArray = np.zeros((9, _FIRST_CAPACITY), dtype=np.int64)
         self._n_rows = 0
         self._is_joining = False
         self._is_unread = False
@@ -172,14 +173,14 @@ class SiteView:
     def _remember(self, rows: EncounterRows, origins: EncounterOrigins) -> None:
         n = 1 + int(rows.row.max())
         if n > self._raw.shape[1]:
-            grown = np.zeros((8, max(n, 2 * self._raw.shape[1])), dtype=np.int64)
+            grown = np.zeros((9, max(n, 2 * self._raw.shape[1])), dtype=np.int64)
             grown[:, : self._n_rows] = self._raw[:, : self._n_rows]
             self._raw = grown
         if n > self._n_rows:
             self._raw[7, self._n_rows : n] = -1
             self._n_rows = n
-        values = (rows.t_start_ns, rows.t_end_ns, rows.id1, rows.id2, rows.counts, origins.margin_ns, origins.source, origins.is_final)
-        for column, numbers in enumerate(values):
+        values = (rows.t_start_ns, rows.t_end_ns, rows.id1, rows.id2, rows.counts)
+        for column, numbers in enumerate((*values, origins.margin_ns, origins.source, origins.is_final, origins.error_ns)):
             self._raw[column, rows.row] = numbers
 
     def _note(self, rows: IntArray) -> None:
@@ -191,7 +192,7 @@ class SiteView:
         return number_pairs(np.minimum(id1, id2), np.maximum(id1, id2))
 
     def _read(self, rows: IntArray) -> SampledRows:
-        begin, end, _, _, counts, _, source, is_final = self._raw[:, rows]
+        begin, end, _, _, counts, _, source, is_final, _ = self._raw[:, rows]
         return SampledRows(
             source=source,
             pair=self._pairs(rows),
@@ -206,7 +207,7 @@ class SiteView:
 
     def _shifted(self, rows: IntArray) -> EncounterRows:
         """Return records on the site's clock."""
-        begin, end, id1, id2, counts, _, source, _ = self._raw[:, rows]
+        begin, end, id1, id2, counts, _, source, _, _ = self._raw[:, rows]
         for number in np.unique(source).tolist():
             shift = self._clocks.shift(number)
             if shift is not None:
@@ -219,8 +220,7 @@ class SiteView:
     def _rebuild(self, *, change: int) -> None:
         """Join all encounters anew; those that come out otherwise are set by ``change``."""
         rows = self._present()
-        shifted, margin_ns, gateway = self._shifted(rows), self._raw[5, rows], self._gateways_of(rows)
-        self._publish(self._joint.rebuild(shifted, margin_ns=margin_ns, gateway=gateway, names=self._names), change=change)
+        self._publish(self._joint.rebuild(self._told(rows), names=self._names), change=change)
 
     def _move(self, *, change: int) -> None:
         """Put all encounters where the clocks have them now."""
@@ -232,8 +232,15 @@ class SiteView:
             self._take(rows, change=change)
 
     def _take(self, rows: IntArray, *, change: int) -> None:
-        margin_ns, gateway = self._raw[5, rows], self._gateways_of(rows)
-        self._publish(self._joint.take(self._shifted(rows), margin_ns=margin_ns, gateway=gateway, names=self._names), change=change)
+        self._publish(self._joint.take(self._told(rows), names=self._names), change=change)
+
+    def _told(self, rows: IntArray) -> ToldRows:
+        """Return records on the site's clock with what joins them.
+
+        Their errors are without that of the shift, which may become another one while no record moves: what is joined would depend on when.
+        """
+        margin_ns, error_ns = self._raw[5, rows], self._raw[8, rows]
+        return ToldRows(rows=self._shifted(rows), margin_ns=margin_ns, error_ns=error_ns, gateway=self._gateways_of(rows))
 
     def _publish(self, amount: EncounterRows, *, change: int) -> None:
         differs = self.encounters.differs(amount)

@@ -51,8 +51,20 @@ def joined_plainly(records: list[EncounterRecord]) -> list[Interval]:
             pieces = [piece for piece in pieces if piece not in touching] + [[record, *(one for piece in touching for one in piece)]]
         for piece in pieces:
             parts = [piece] if len({record.gateway for record in piece}) > 1 else [[record] for record in piece]
-            found += [(min(one.t_start_ns for one in part), max(one.t_end_ns for one in part), *nodes) for part in parts]
+            for part in parts:
+                begin = agreed_plainly([(one.t_start_ns, one.error_ns) for one in part])
+                found.append((begin, max(begin, -agreed_plainly([(-one.t_end_ns, one.error_ns) for one in part])), *nodes))
     return sorted(found)
+
+
+def agreed_plainly(told: list[tuple[int, int]]) -> int:
+    """The middle of the instants that the first, and of the others each that leaves any, all allow; counted one by one."""
+    allowed: set[int] = set()
+    for instant, error in sorted(told):
+        allowed = (
+            (allowed & set(range(instant - error, instant + error + 1))) or allowed or set(range(instant - error, instant + error + 1))
+        )
+    return (min(allowed) + max(allowed)) // 2
 
 
 @st.composite
@@ -74,8 +86,9 @@ def journals(draw: st.DrawFn) -> list[EncounterRecord]:
                 gateway=gateway,
                 is_void=draw(st.sampled_from([False, False, True])),
             )
-            margin = draw(st.integers(0, 2))
-            records.append(msgspec.structs.replace(record, margin_ns=margin, error_ns=Nanoseconds(0)))
+            error = draw(st.integers(0, 3))
+            margin = draw(st.integers(error, 4))
+            records.append(msgspec.structs.replace(record, margin_ns=margin, error_ns=Nanoseconds(error)))
     return records
 
 
