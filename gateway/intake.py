@@ -49,9 +49,9 @@ _ROUGH_PATIENCE_NS = 5 * NS_PER_S
 what is said makes it be said again, and everything wait longer. Its bounds hold however long messages wait, and its error says how wide."""
 
 _CLOCK_PATIENCE_NS = 60 * NS_PER_S
-"""One that has no bound from below (it hears nothing), or hardly one, is believed only after so long, with a wide error; until then it keeps
-what it has. Where messages wait for seconds, five were too few: the campaign of faults found times 17 s from the truth with a bound of 2 s
-(docs/campaign.md)."""
+"""One that has no bound from below (it hears nothing), or hardly one, is believed only after so long, with a wide error; until then it
+keeps what it has. Where messages wait for seconds, five were too few: the campaign of faults found times 17 s from the truth with a bound
+of 2 s (docs/campaign.md)."""
 
 _OVER_PATIENCE_NS = 5 * NS_PER_S
 """The same for a life that is over: nobody can settle its clock, and nobody keeps its messages."""
