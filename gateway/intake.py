@@ -29,7 +29,7 @@ from firmware_protocol.messages import (
     Uplink,
     UplinkHeader,
 )
-from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, BootId, Milliseconds, NodeId
+from firmware_protocol.units import LAST_NODE_ADDRESS, BootId, Milliseconds, NodeId
 from gateway.clocks import ClockBook, NodeClock
 from gateway.encounter_reports import MAX_AHEAD_MS, EncounterReports
 from gateway.health import Health
@@ -43,19 +43,6 @@ from gateway.sequences import SequenceWindow
 
 _MAX_BOOTS = 4
 """Lives of one backpack whose messages are still taken: a dongle's queue may hold some from before a restart."""
-
-_ROUGH_PATIENCE_NS = 5 * NS_PER_S
-"""A backpack whose clock could not be settled for so long is believed once the clock is rough: on a line where everything waits, refusing
-what is said makes it be said again, and everything wait longer. Its bounds hold however long messages wait, and its error says how wide."""
-
-_CLOCK_PATIENCE_NS = 60 * NS_PER_S
-"""One that has no bound from below (it hears nothing), or hardly one, is believed only after so long, with a wide error; until then it keeps
-what it has. Where messages wait for seconds, five were too few: the campaign of faults found times 17 s from the truth with a bound of 2 s
-(docs/campaign.md)."""
-
-_OVER_PATIENCE_NS = 5 * NS_PER_S
-"""The same for a life that is over: nobody can settle its clock, and nobody keeps its messages."""
-
 
 _COUNTERS = {layout.kind or 0: f"message.{layout.name.lower()}" for layout in UPLINK_LAYOUTS}
 
@@ -80,7 +67,7 @@ class IntakeListeners:
     """A biobot's number came with one EUI-64 and then with another."""
     on_diagnostic: Callable[[NodeId, Diagnostic], None]
     on_configuration: Callable[[NodeId, ConfigurationReport], None]
-    on_unknown_clock: Callable[[], None]
+    on_unknown_clock: Callable[[NodeId], None]
     """Told at once: a report was not taken because its backpack's clock is not known yet."""
 
 
@@ -174,10 +161,10 @@ class Intake:
             self._health.count("message.time_sync_reply" if is_ours else "message.time_sync_unexpected")
             return None
         is_dated = uplink is None or isinstance(uplink, Status)
-        if is_dated and self._must_wait(clock, now_ns=message.received_ns, goes_on=boot == node.boot):
+        if is_dated and not clock.is_believed(now_ns=message.received_ns, goes_on=boot == node.boot):
             # Not acknowledged, so it comes again: a second later its times can be trusted.
             self._health.count("message.clock_unknown")
-            self._listeners_or_fail().on_unknown_clock()
+            self._listeners_or_fail().on_unknown_clock(name)
             return None
         life = self._life(name, boot)
         number = life.received.unwrap(sequence)
@@ -230,12 +217,6 @@ class Intake:
 
         barrier.add_done_callback(tell)
         return barrier
-
-    def _must_wait(self, clock: NodeClock, *, now_ns: int, goes_on: bool) -> bool:
-        if clock.is_settled:
-            return False
-        patience_ns = _OVER_PATIENCE_NS if not goes_on else _ROUGH_PATIENCE_NS if clock.is_rough else _CLOCK_PATIENCE_NS
-        return now_ns - clock.first_ns < patience_ns
 
     def _restore(self) -> None:
         self._nodes.restore(msgspec.msgpack.decode(body, type=NodeMemory) for body in self._reader.read_nodes())

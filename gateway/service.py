@@ -186,7 +186,7 @@ class Service:
                 on_duplicate=partial(self._on_duplicate, bus),
                 on_diagnostic=partial(self._on_diagnostic, bus),
                 on_configuration=configurator.on_report,
-                on_unknown_clock=inquirer.wake,
+                on_unknown_clock=inquirer.note_refused,
             )
         )
         journal.listen(bus.publish_records)
