@@ -9,6 +9,8 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from msgspec import Struct
+
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId
 from gateway.clock_fit import ClockFit, Point, fit
 
@@ -56,6 +58,21 @@ class ClockReading(NamedTuple):
 
     t_ns: Nanoseconds
     error_ns: Nanoseconds
+
+
+class ClockMemory(Struct, frozen=True, kw_only=True):
+    """What of a clock outlives the gateway's process: bounds of the offset at an instant of the backpack's clock [ns].
+
+    Parameters
+    ----------
+    anchor_ns
+        The process's ``wall_anchor_ns``: its monotonic clock goes on while the machine is not started anew.
+    """
+
+    anchor_ns: int
+    at_ns: int
+    upper_ns: int
+    lower_ns: int
 
 
 @dataclass(slots=True, kw_only=True)
@@ -165,6 +182,22 @@ class NodeClock:
             self._error_ns + int(furthest * self._rate_error),
         )
 
+    def memory(self, *, anchor_ns: int) -> ClockMemory | None:
+        """Return what is to be kept of it over a restart of the gateway; None where it is not settled."""
+        if not self.is_settled:
+            return None
+        return ClockMemory(anchor_ns=anchor_ns, at_ns=self._at_ns, upper_ns=self._upper_ns, lower_ns=self._lower_ns)
+
+    def restore(self, memory: ClockMemory, *, now_ns: int) -> None:
+        """Begin with what an earlier process knew; what is heard since then is added to it, or contradicts it."""
+        part = memory.at_ns * _N_PARTS // self.window_ns
+        upper, lower = (memory.at_ns, memory.upper_ns), (memory.at_ns, memory.lower_ns)
+        found = fit([upper], [lower], at_ns=memory.at_ns, assumed_delay_ns=ASSUMED_DELAY_NS)
+        if found is not None:
+            self.first_ns, self._newest, self._latest_ns = now_ns, upper, memory.at_ns
+            self._upper, self._lower = {part: upper}, {part: lower}
+            self._use(found)
+
     def _is_known_within(self, limit_ns: int) -> bool:
         if not self._lower:
             return False
@@ -224,6 +257,11 @@ class ClockBook:
                 boots.popitem(last=False)
         clock.observe(sent_ms=sent_ms, received_ns=received_ns)
         return clock
+
+    def restore(self, memory: ClockMemory, *, node: NodeId, boot: BootId, now_ns: int) -> None:
+        """Know a backpack's clock again, before anything is heard from it."""
+        clock = self._clocks.setdefault(node, OrderedDict()).setdefault(boot, NodeClock(window_ns=self.window_ns))
+        clock.restore(memory, now_ns=now_ns)
 
     def is_settled(self, *, node: NodeId, boot: BootId) -> bool:
         """Whether a backpack's clock is known well enough to date what it reports."""

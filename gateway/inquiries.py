@@ -102,7 +102,7 @@ class Inquirer:
                 self._refused.add(node.node)
             if not is_settled and self._is_to_be_asked(node):
                 self._unsettled.setdefault(node.radio, deque()).append(node.node)
-            if node.last_heard_ns and node.address is not None and self._sender.n_pending(node.node) < _MAX_PENDING:
+            if node.address is not None and (node.last_heard_ns or is_settled) and self._sender.n_pending(node.node) < _MAX_PENDING:
                 self._ask(node, now_ns, is_settled=is_settled)
         for radio in self._unsettled:
             self._ask_next(radio)
@@ -120,10 +120,7 @@ class Inquirer:
 
     def _ask(self, node: Node, now_ns: int, *, is_settled: bool) -> None:
         """Ask what is not pressing: how a known clock goes on, who somebody is, and what was said before it could be taken."""
-        asked_ns = self._asked_time.get(node.node, _NEVER)[1]
-        if is_settled and asked_ns < now_ns - self._sync_period_ns:
-            self._ask_time(node, now_ns)
-        elif self._asked_hello_ns.get(node.node, 0) < now_ns - _HELLO_PAUSE_NS and self._is_hello_wanted(node, now_ns):
+        if self._asked_hello_ns.get(node.node, 0) < now_ns - _HELLO_PAUSE_NS and self._is_hello_wanted(node, now_ns):
             try:
                 self._sender.send(node.node, HelloRequest())
             except RadioUnavailableError:
@@ -132,6 +129,8 @@ class Inquirer:
             self._refused.discard(node.node)
             self._asked_hello_ns[node.node] = now_ns
             self._health.count("inquiry.hello")
+        elif is_settled and self._asked_time.get(node.node, _NEVER)[1] < now_ns - self._sync_period_ns:
+            self._ask_time(node, now_ns)
 
     def _is_hello_wanted(self, node: Node, now_ns: int) -> bool:
         """Whether a biobot is to say who it is, or to repeat at once what it has to tell, as with a hello (WIRE_FORMAT.md §5.12)."""

@@ -104,12 +104,14 @@ class Intake:
         self._reports = EncounterReports(issuer=issuer, reader=reader, nodes=nodes, health=health, window_s=window_s, now_ns=now_ns)
         self._modes = ModeTracker(issuer=issuer)
         self._lives: dict[NodeId, OrderedDict[BootId, _Life]] = {}
+        self._clock_news: set[NodeId] = set()
+        """Whose clock is known better than the journal has it: their next report takes that along."""
         self._listeners: IntakeListeners | None = None
         self._awaited: tuple[asyncio.Future[None], list[_Taken]] | None = None
         """What the newest group of writes is made of."""
         self._repeaters: tuple[asyncio.Future[None], set[NodeId]] | None = None
         """Who repeated something while a group of writes waits for the disk: told once when it is there, however often it was said."""
-        self._restore()
+        self._restore(now_ns)
 
     def connect(self, listeners: IntakeListeners) -> None:
         """Say who is told after commits; to be called before the first message."""
@@ -159,6 +161,8 @@ class Intake:
         if isinstance(uplink, TimeSyncReply):
             is_ours = self._clocks.end_exchange(node=name, boot=boot, token=uplink.token, arrived_ms=uplink.received_ms)
             self._health.count("message.time_sync_reply" if is_ours else "message.time_sync_unexpected")
+            if is_ours and boot == node.boot:
+                self._clock_news.add(name)
             return None
         is_dated = uplink is None or isinstance(uplink, Status)
         if is_dated and not clock.is_believed(now_ns=message.received_ns, goes_on=boot == node.boot):
@@ -192,7 +196,11 @@ class Intake:
             lqi=message.lqi,
             payload=message.payload,
         )
-        memory = (name, msgspec.msgpack.encode(node.memory())) if is_changed else None
+        memory = None
+        if is_changed or name in self._clock_news:
+            self._clock_news.discard(name)
+            kept = clock.memory(anchor_ns=self._issuer.wall_anchor_ns) if boot == node.boot else None
+            memory = (name, msgspec.msgpack.encode(node.memory(clock=kept)))
         done = self._journal.join(JournalWrite(records=records, report=report, node=memory))
         self._await(done, _Taken(life=life, number=number, node=name, tell=tell))
         return done
@@ -218,8 +226,12 @@ class Intake:
         barrier.add_done_callback(tell)
         return barrier
 
-    def _restore(self) -> None:
-        self._nodes.restore(msgspec.msgpack.decode(body, type=NodeMemory) for body in self._reader.read_nodes())
+    def _restore(self, now_ns: int) -> None:
+        memories = [msgspec.msgpack.decode(body, type=NodeMemory) for body in self._reader.read_nodes()]
+        self._nodes.restore(memories)
+        for memory in memories:
+            if memory.clock is not None and memory.clock.anchor_ns in self._issuer.earlier_anchors:
+                self._clocks.restore(memory.clock, node=memory.node, boot=memory.boot, now_ns=now_ns)
         windows = self._reader.read_windows()
         self._nodes.restore_earlier_boots((node, boot) for node, boot, _, _ in windows)
         for node, boot, next_number, above in windows:
