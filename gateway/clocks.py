@@ -6,7 +6,7 @@ of them it is made of: the tightest in each part of a sliding window. Pure: time
 """
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from typing import NamedTuple
 
 from msgspec import Struct
@@ -33,8 +33,12 @@ ROUGH_PATIENCE_NS = 5 * NS_PER_S
 """A backpack whose clock could not be settled for so long is believed once the clock is rough: on a line where everything waits, refusing
 what is said makes it be said again, and everything wait longer. Its bounds hold however long messages wait, and its error says how wide."""
 
+WIDE_PATIENCE_NS = 600 * NS_PER_S
+"""The same where the clock is not even rough: its backpack hears, so a better bound will come, and its sides of encounters could not be told
+from others of the pair."""
+
 PATIENCE_NS = 60 * NS_PER_S
-"""One that has no bound from below (it hears nothing), or hardly one, is believed only after so long, with a wide error; until then it
+"""One that has no bound from below (it hears nothing) is believed only after so long, with an error that is assumed; until then it
 keeps what it has. Where messages wait for seconds, five were too few: the campaign of faults found times 17 s from the truth with a bound
 of 2 s (docs/campaign.md)."""
 
@@ -120,7 +124,12 @@ class NodeClock:
         """Whether it may date what is reported now; ``goes_on``: its life does."""
         if self.is_settled:
             return True
-        patience_ns = _OVER_PATIENCE_NS if not goes_on else ROUGH_PATIENCE_NS if self.is_rough else PATIENCE_NS
+        if not goes_on:
+            patience_ns = _OVER_PATIENCE_NS
+        elif self._lower:
+            patience_ns = ROUGH_PATIENCE_NS if self.is_rough else WIDE_PATIENCE_NS
+        else:
+            patience_ns = PATIENCE_NS
         return now_ns - self.first_ns >= patience_ns
 
     @property
@@ -238,12 +247,22 @@ class NodeClock:
 
 @dataclass(slots=True, kw_only=True)
 class ClockBook:
-    """The clocks of all backpacks, and the time sync exchanges under way. Keeps the last two boots of each."""
+    """The clocks of all backpacks, and the time sync exchanges under way. Keeps the last two boots of each.
+
+    Parameters
+    ----------
+    first_token
+        Where the numbers of exchanges begin: anywhere else than in an earlier process, whose late replies must not pass for others.
+    """
 
     window_ns: int
+    first_token: InitVar[int] = 0
     _clocks: dict[NodeId, OrderedDict[BootId, NodeClock]] = field(default_factory=dict)
     _exchanges: OrderedDict[int, tuple[NodeId, int]] = field(default_factory=OrderedDict)
-    _next_token: int = 1
+    _next_token: int = field(init=False)
+
+    def __post_init__(self, first_token: int) -> None:
+        self._next_token = first_token % _TOKEN_MODULUS
 
     def observe(self, *, node: NodeId, boot: BootId, sent_ms: Milliseconds, received_ns: int) -> NodeClock:
         """Take the instants of an uplink message and return the clock it belongs to."""
