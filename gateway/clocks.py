@@ -34,8 +34,8 @@ ROUGH_PATIENCE_NS = 5 * NS_PER_S
 what is said makes it be said again, and everything wait longer. Its bounds hold however long messages wait, and its error says how wide."""
 
 WIDE_PATIENCE_NS = 600 * NS_PER_S
-"""The same where the clock is not even rough: its backpack hears, so a better bound will come, and its sides of encounters could not be told
-from others of the pair."""
+"""The same where the clock is not even rough: its backpack hears, so a better bound will come, and its sides of encounters could not be
+told from others of the pair."""
 
 PATIENCE_NS = 60 * NS_PER_S
 """One that has no bound from below (it hears nothing) is believed only after so long, with an error that is assumed; until then it
