@@ -85,6 +85,11 @@ class DownlinkSender:
         known = self._nodes.find(node)
         return None if known is None else known.radio
 
+    def is_radio_up(self, radio: str) -> bool:
+        """Return whether a radio takes payloads now."""
+        coordinator = self._coordinators.get(radio)
+        return coordinator is not None and coordinator.is_up
+
     def n_pending(self, node: NodeId) -> int:
         """Return how many payloads wait for their fate at the radio of a biobot."""
         known = self._nodes.find(node)

@@ -31,7 +31,7 @@ _FORGOTTEN_AT_ONCE = 1_000
 _ABSENT_AFTER_NS = 120 * NS_PER_S
 """A biobot that was last heard so long before another is out of range of this gateway: only the other reports what the two share."""
 
-MAX_BROUGHT_BACK = 20_000
+_MAX_BROUGHT_BACK = 20_000
 """Encounters that are brought back together after a start: a fifth of a second. Of more than these, only the latest."""
 
 _BEFORE_ALL_NS, _AFTER_ALL_NS = -(1 << 62), (1 << 63) - 1
@@ -60,6 +60,7 @@ class EncounterReports:
         self._health = health
         self._window_ns = int(window_s * NS_PER_S)
         self._horizon_ns = self._next_horizon_ns = now_ns + _RECALL_SLACK_NS  # what the journal has may end a little later than now
+        self.max_brought_back = _MAX_BROUGHT_BACK
         self._is_fresh = True
         """No report has come yet, so all that is known is in the journal."""
         self._late_pairs: set[tuple[NodeId, NodeId]] = set()
@@ -159,7 +160,7 @@ class EncounterReports:
         newest: dict[tuple[int, int], EncounterRecord] = {}
         for record in self._reader.read_encounters(from_wall_ns=from_wall_ns, to_wall_ns=_AFTER_ALL_NS):
             newest[record.boot, record.sequence] = record
-            if len(newest) > MAX_BROUGHT_BACK:
+            if len(newest) > self.max_brought_back:
                 return None
         return list(newest.values())
 

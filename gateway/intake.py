@@ -29,7 +29,7 @@ from firmware_protocol.messages import (
     Uplink,
     UplinkHeader,
 )
-from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, BootId, Milliseconds, NodeId
+from firmware_protocol.units import LAST_NODE_ADDRESS, BootId, Milliseconds, NodeId
 from gateway.clocks import ClockBook, NodeClock
 from gateway.encounter_reports import MAX_AHEAD_MS, EncounterReports
 from gateway.health import Health
@@ -43,19 +43,6 @@ from gateway.sequences import SequenceWindow
 
 _MAX_BOOTS = 4
 """Lives of one backpack whose messages are still taken: a dongle's queue may hold some from before a restart."""
-
-_ROUGH_PATIENCE_NS = 5 * NS_PER_S
-"""A backpack whose clock could not be settled for so long is believed once the clock is rough: on a line where everything waits, refusing
-what is said makes it be said again, and everything wait longer. Its bounds hold however long messages wait, and its error says how wide."""
-
-_CLOCK_PATIENCE_NS = 60 * NS_PER_S
-"""One that has no bound from below (it hears nothing), or hardly one, is believed only after so long, with a wide error; until then it
-keeps what it has. Where messages wait for seconds, five were too few: the campaign of faults found times 17 s from the truth with a bound
-of 2 s (docs/campaign.md)."""
-
-_OVER_PATIENCE_NS = 5 * NS_PER_S
-"""The same for a life that is over: nobody can settle its clock, and nobody keeps its messages."""
-
 
 _COUNTERS = {layout.kind or 0: f"message.{layout.name.lower()}" for layout in UPLINK_LAYOUTS}
 
@@ -80,7 +67,7 @@ class IntakeListeners:
     """A biobot's number came with one EUI-64 and then with another."""
     on_diagnostic: Callable[[NodeId, Diagnostic], None]
     on_configuration: Callable[[NodeId, ConfigurationReport], None]
-    on_unknown_clock: Callable[[], None]
+    on_unknown_clock: Callable[[NodeId], None]
     """Told at once: a report was not taken because its backpack's clock is not known yet."""
 
 
@@ -117,12 +104,14 @@ class Intake:
         self._reports = EncounterReports(issuer=issuer, reader=reader, nodes=nodes, health=health, window_s=window_s, now_ns=now_ns)
         self._modes = ModeTracker(issuer=issuer)
         self._lives: dict[NodeId, OrderedDict[BootId, _Life]] = {}
+        self._clock_news: set[NodeId] = set()
+        """Whose clock is known better than the journal has it: their next report takes that along."""
         self._listeners: IntakeListeners | None = None
         self._awaited: tuple[asyncio.Future[None], list[_Taken]] | None = None
         """What the newest group of writes is made of."""
         self._repeaters: tuple[asyncio.Future[None], set[NodeId]] | None = None
         """Who repeated something while a group of writes waits for the disk: told once when it is there, however often it was said."""
-        self._restore()
+        self._restore(now_ns)
 
     def connect(self, listeners: IntakeListeners) -> None:
         """Say who is told after commits; to be called before the first message."""
@@ -172,12 +161,14 @@ class Intake:
         if isinstance(uplink, TimeSyncReply):
             is_ours = self._clocks.end_exchange(node=name, boot=boot, token=uplink.token, arrived_ms=uplink.received_ms)
             self._health.count("message.time_sync_reply" if is_ours else "message.time_sync_unexpected")
+            if is_ours and boot == node.boot:
+                self._clock_news.add(name)
             return None
         is_dated = uplink is None or isinstance(uplink, Status)
-        if is_dated and self._must_wait(clock, now_ns=message.received_ns, goes_on=boot == node.boot):
+        if is_dated and not clock.is_believed(now_ns=message.received_ns, goes_on=boot == node.boot):
             # Not acknowledged, so it comes again: a second later its times can be trusted.
             self._health.count("message.clock_unknown")
-            self._listeners_or_fail().on_unknown_clock()
+            self._listeners_or_fail().on_unknown_clock(name)
             return None
         life = self._life(name, boot)
         number = life.received.unwrap(sequence)
@@ -205,7 +196,11 @@ class Intake:
             lqi=message.lqi,
             payload=message.payload,
         )
-        memory = (name, msgspec.msgpack.encode(node.memory())) if is_changed else None
+        memory = None
+        if is_changed or name in self._clock_news:
+            self._clock_news.discard(name)
+            kept = clock.memory(anchor_ns=self._issuer.wall_anchor_ns) if boot == node.boot else None
+            memory = (name, msgspec.msgpack.encode(node.memory(clock=kept)))
         done = self._journal.join(JournalWrite(records=records, report=report, node=memory))
         self._await(done, _Taken(life=life, number=number, node=name, tell=tell))
         return done
@@ -231,14 +226,12 @@ class Intake:
         barrier.add_done_callback(tell)
         return barrier
 
-    def _must_wait(self, clock: NodeClock, *, now_ns: int, goes_on: bool) -> bool:
-        if clock.is_settled:
-            return False
-        patience_ns = _OVER_PATIENCE_NS if not goes_on else _ROUGH_PATIENCE_NS if clock.is_rough else _CLOCK_PATIENCE_NS
-        return now_ns - clock.first_ns < patience_ns
-
-    def _restore(self) -> None:
-        self._nodes.restore(msgspec.msgpack.decode(body, type=NodeMemory) for body in self._reader.read_nodes())
+    def _restore(self, now_ns: int) -> None:
+        memories = [msgspec.msgpack.decode(body, type=NodeMemory) for body in self._reader.read_nodes()]
+        self._nodes.restore(memories)
+        for memory in memories:
+            if memory.clock is not None and memory.clock.anchor_ns in self._issuer.earlier_anchors:
+                self._clocks.restore(memory.clock, node=memory.node, boot=memory.boot, now_ns=now_ns)
         windows = self._reader.read_windows()
         self._nodes.restore_earlier_boots((node, boot) for node, boot, _, _ in windows)
         for node, boot, next_number, above in windows:

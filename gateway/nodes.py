@@ -27,6 +27,7 @@ from firmware_protocol.messages import (
     WireMode,
 )
 from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from gateway.clocks import ClockMemory
 from gateway.radio import strongest
 from gateway.whereabouts import Place, Whereabouts
 
@@ -60,6 +61,7 @@ class NodeMemory(msgspec.Struct, frozen=True, kw_only=True):
     is_introduced: bool
     limits: Limits | None = None
     """As last announced, by this boot or an earlier one: they bound what is sent until the next announcement."""
+    clock: ClockMemory | None = None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -94,8 +96,8 @@ class Node:
     earlier_boots: OrderedDict[BootId, None] = field(default_factory=OrderedDict)
     """Lives that are over, the latest last."""
 
-    def memory(self) -> NodeMemory:
-        """Return what is to be kept of it over a restart."""
+    def memory(self, *, clock: ClockMemory | None = None) -> NodeMemory:
+        """Return what is to be kept of it over a restart; ``clock`` is of its boot."""
         return NodeMemory(
             node=self.node,
             boot=self.boot,
@@ -107,6 +109,7 @@ class Node:
             capabilities=self.capabilities,
             is_introduced=self.is_introduced,
             limits=self.limits,
+            clock=clock,
         )
 
 

@@ -122,7 +122,8 @@ class Service:
         )
         reader = journal.reader()
         nodes = NodeBook(gateway=config.name)
-        clocks = ClockBook(window_ns=int(config.clocks.window_s * NS_PER_S))
+        # Starts begin 16 session numbers apart; times an odd number these are far apart among the tokens.
+        clocks = ClockBook(window_ns=int(config.clocks.window_s * NS_PER_S), first_token=journal.identity.first_session * 40_503)
         intake = Intake(
             issuer=issuer,
             journal=journal,
@@ -186,7 +187,7 @@ class Service:
                 on_duplicate=partial(self._on_duplicate, bus),
                 on_diagnostic=partial(self._on_diagnostic, bus),
                 on_configuration=configurator.on_report,
-                on_unknown_clock=inquirer.wake,
+                on_unknown_clock=inquirer.note_refused,
             )
         )
         journal.listen(bus.publish_records)

@@ -23,7 +23,6 @@ _ZERO_NS = 1_000 * NS_PER_S
 _WINDOW_NS = 300 * NS_PER_S
 _STATUS_NS, _SYNC_NS, _URGENT_NS = 10 * NS_PER_S, 20 * NS_PER_S, NS_PER_S // 4
 _RETRY_NS = NS_PER_S
-_PATIENCE_NS, _ROUGH_PATIENCE_NS = 60 * NS_PER_S, 5 * NS_PER_S  # as the gateway, which believes a clock after so long as it is
 _BUSY_SHARE, _BUSY_NS = 0.2, 400 * NS_PER_MS
 _STALL_SHARE, _STALL_NS = 0.005, 4 * NS_PER_S
 
@@ -180,8 +179,7 @@ class _Traffic:
             peer, start_ns, end_ns = facts[1:]
             if self._life(node, start_ns) is not life:
                 return  # it was in the memory of a backpack that has restarted
-            patience_ns = _ROUGH_PATIENCE_NS if clock.is_rough else _PATIENCE_NS
-            if not clock.is_settled and at_ns + _ZERO_NS - clock.first_ns < patience_ns:
+            if not clock.is_believed(now_ns=at_ns + _ZERO_NS):
                 self._send(kind, node, *facts[1:], sent_ns=sent_ns + _RETRY_NS)
                 return
             self._report(node, peer, clock.read_span(life.tick(start_ns), life.tick(end_ns)), start_ns=start_ns)

@@ -30,10 +30,11 @@ _PAGE = 10_000
 _TICK_NS = 2 * NS_PER_MS
 _MAX_RATE_PPM = 200
 _NEAR_NS = NS_PER_S // 4
-"""Reports this close are one encounter: more than twice the largest margin that the gateway gives a clock known badly (0.1 s)."""
+"""Reports this close are one encounter: far more than the margins that the gateway gives settled clocks."""
 
 _FAR_NS = 3 * NS_PER_S
-"""Reports further apart than this are two encounters; between the two there would be doubt."""
+"""Reports further apart than this are two encounters, for a margin is 1 s at most, where a clock is known badly; between the two is
+doubt."""
 
 _EXAMPLES = 20
 

@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, NodeId
-from gateway.clocks import ClockBook, NodeClock
+from gateway.clocks import PATIENCE_NS, ROUGH_PATIENCE_NS, WIDE_PATIENCE_NS, ClockBook, NodeClock
+from gateway.encounters import margin_of
 
 _delays_ms = st.lists(st.integers(0, 3000), min_size=1, max_size=40)
 
@@ -79,3 +80,55 @@ def test_a_time_sync_reply_counts_once_and_only_from_whom_was_asked() -> None:
     assert not book.end_exchange(node=asked, boot=boot, token=token, arrived_ms=Milliseconds(1))
     assert book.is_settled(node=asked, boot=boot)
     assert not book.is_settled(node=other, boot=boot)
+
+
+def test_a_clock_with_a_wide_bound_is_believed_after_seconds_and_one_with_none_after_a_minute() -> None:
+    def patience_of(clock: NodeClock) -> int:
+        return next(at for at in (0, ROUGH_PATIENCE_NS, PATIENCE_NS, WIDE_PATIENCE_NS) if clock.is_believed(now_ns=clock.first_ns + at))
+
+    clock = NodeClock(window_ns=300 * NS_PER_S)
+    clock.observe(sent_ms=Milliseconds(0), received_ns=100 * NS_PER_S)
+    assert patience_of(clock) == PATIENCE_NS
+    clock.bound_below(requested_ns=100 * NS_PER_S, arrived_ms=Milliseconds(1_500))
+    assert patience_of(clock) == WIDE_PATIENCE_NS, "hardly a bound, and a better one is to come"
+    clock.bound_below(requested_ns=102 * NS_PER_S, arrived_ms=Milliseconds(2_900))
+    assert patience_of(clock) == ROUGH_PATIENCE_NS
+    assert 0.8 * NS_PER_S < clock.read(Milliseconds(2_900)).error_ns < NS_PER_S
+    clock.bound_below(requested_ns=104 * NS_PER_S, arrived_ms=Milliseconds(4_010))
+    assert patience_of(clock) == 0
+
+
+def test_a_margin_covers_the_error_of_a_bounded_clock_and_not_what_is_only_assumed() -> None:
+    assert margin_of(beacon_period_ms=0, error_ns=5) == 5
+    assert margin_of(beacon_period_ms=0, error_ns=900 * NS_PER_MS) == 900 * NS_PER_MS
+    assert margin_of(beacon_period_ms=0, error_ns=1_100 * NS_PER_MS) == NS_PER_S
+    assumed = NodeClock(window_ns=300 * NS_PER_S)
+    assumed.observe(sent_ms=Milliseconds(0), received_ns=100 * NS_PER_S)
+    assert margin_of(beacon_period_ms=0, error_ns=assumed.read(Milliseconds(0)).error_ns) == 100 * NS_PER_MS
+
+
+@given(
+    ppm=st.integers(-90, 90),
+    delay_ms=st.integers(0, 40),
+    down_ms=st.integers(0, 40),
+    away_s=st.integers(0, 600),
+    late_ms=st.integers(0, 3_000),
+)
+def test_a_clock_known_again_is_good_at_once_and_its_bound_holds(ppm: int, delay_ms: int, down_ms: int, away_s: int, late_ms: int) -> None:
+    def tick_at(t_ns: int) -> Milliseconds:
+        return Milliseconds(t_ns * (1_000_000 + ppm) // 1_000_000 // NS_PER_MS)
+
+    before = NodeClock(window_ns=300 * NS_PER_S)
+    now_ns = 1_000 * NS_PER_S
+    before.observe(sent_ms=tick_at(now_ns), received_ns=now_ns + delay_ms * NS_PER_MS)
+    before.bound_below(requested_ns=now_ns - down_ms * NS_PER_MS, arrived_ms=tick_at(now_ns))
+    memory = before.memory(anchor_ns=7)
+    assert memory is not None
+    now_ns += away_s * NS_PER_S
+    book = ClockBook(window_ns=300 * NS_PER_S)
+    book.restore(memory, node=NodeId(1), boot=BootId(2), now_ns=now_ns)
+    assert book.is_settled(node=NodeId(1), boot=BootId(2))
+    after = book.observe(node=NodeId(1), boot=BootId(2), sent_ms=tick_at(now_ns), received_ns=now_ns + late_ms * NS_PER_MS)
+    assert after.n_jumps == 0
+    reading = after.read(tick_at(now_ns))
+    assert abs(reading.t_ns - now_ns) <= reading.error_ns < 250 * NS_PER_MS

@@ -292,3 +292,32 @@ def test_a_busy_channel_is_no_proof_that_nothing_went_out() -> None:
         RadioStatus.QUEUE_FULL,
         RadioStatus.TOO_LONG,
     }
+
+
+def test_a_timed_payload_is_made_when_the_port_takes_it_and_overtakes_what_waits_at_the_dongle() -> None:
+    async def story() -> None:
+        plug = _a_plug()
+        coordinator = _a_coordinator(plug.open)
+        made: list[int] = []
+
+        def make(now_ns: int) -> bytes:
+            made.append(now_ns)
+            return b"timed"
+
+        async with _running(coordinator.run(), plug.run()):
+            await until(lambda: coordinator.is_up, what="the radio is up")
+            others = [coordinator.send(destination=ShortAddress(0x1000), payload=bytes([at])) for at in range(40)]
+            asked_ns = time.monotonic_ns()
+            timed = coordinator.send_timed(destination=ShortAddress(0x1000), make=make)
+            assert made == [], "it waits for the port"
+            with pytest.raises(RadioUnavailableError, match="another timed payload waits"):
+                coordinator.send_timed(destination=ShortAddress(0x1000), make=make)
+            await until(lambda: any(one.payload == b"timed" for one in plug.dongle.requests), what="it arrives")
+            payloads = [one.payload for one in plug.dongle.requests]
+            assert asked_ns <= made[0]
+            assert payloads.index(b"timed") < 39, "it did not wait for all that was sent before it"
+            assert not any(one.done() for one in [*others, timed])
+            coordinator.send_timed(destination=ShortAddress(0x1000), make=make)
+        assert (await timed).fate is Fate.UNKNOWN, "the port was closed"
+
+    asyncio.run(story())

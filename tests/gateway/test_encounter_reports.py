@@ -35,18 +35,26 @@ _steps = st.lists(st.one_of(_entries, st.sampled_from(["begin", "forget", "commi
 class _Side:
     """One way of taking reports, with a journal of its own."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, now_ns: int | None = None, began_s: int = 2_000) -> None:
+        self.path = path
         self.journal = Journal.open(path, health=Health())
         self.reader = self.journal.reader()
         self.told: list[EncounterRecord] = []
-        now_ns, nodes, health = time.monotonic_ns(), NodeBook(gateway="g"), Health()
+        now_ns = time.monotonic_ns() if now_ns is None else now_ns
+        nodes, health = NodeBook(gateway="g"), Health()
         self.reports = EncounterReports(
-            issuer=RecordIssuer(gateway="g", journal="j", boot=BootId(1), wall_anchor_ns=self.journal.identity.wall_anchor_ns),
+            issuer=RecordIssuer(
+                gateway="g",
+                journal="j",
+                boot=self.journal.boot,
+                wall_anchor_ns=self.journal.identity.wall_anchor_ns,
+                earlier_anchors=self.journal.identity.earlier_anchors,
+            ),
             reader=self.reader,
             nodes=nodes,
             health=health,
             window_s=100,
-            now_ns=now_ns - 2_000 * NS_PER_S,
+            now_ns=now_ns - began_s * NS_PER_S,
         )
         self.node, _ = nodes.heard(
             node=NodeId(1),
@@ -135,3 +143,46 @@ def test_too_many_encounters_leave_memory_whatever_the_window(tmp_path: Path) ->
         side.close()
 
     asyncio.run(story())
+
+
+@settings(max_examples=15, deadline=None)
+@given(before=st.lists(_entries, max_size=12), after=st.lists(_entries, max_size=12), limit=st.sampled_from([1, 3, 20_000]))
+def test_after_a_start_late_reports_make_the_same_encounters_as_without_it(
+    before: list[EncounterFields], after: list[EncounterFields], limit: int
+) -> None:
+    """Whether all that the journal has comes back at once, a part of it, or nothing."""
+
+    async def story(directory: Path) -> None:
+        faithful = _Side(directory / "a")
+        first = _Side(directory / "b", now_ns=faithful.now_ns)
+        for entry in before:
+            first.take(entry)
+        for entry in [*before, *after]:
+            faithful.take(entry)
+        running = [asyncio.ensure_future(side.journal.run()) for side in (faithful, first)]
+        await first.journal.drain()
+        await faithful.journal.drain()
+        for task in running:
+            task.cancel()
+        await asyncio.wait(running)
+        first.close()
+        second = _Side(directory / "b", now_ns=faithful.now_ns, began_s=0)
+        second.told += first.told
+        second.reports.max_brought_back = limit
+        for entry in after:
+            second.take(entry)
+        assert _newest(second.told) == _newest(faithful.told)
+        second.close()
+        faithful.close()
+
+    with TemporaryDirectory() as directory:
+        asyncio.run(story(Path(directory)))
+
+
+def _newest(records: list[EncounterRecord]) -> list[tuple[object, ...]]:
+    """What a mapper keeps; each record came with a revision of its own."""
+    names = [(one.boot, one.sequence, one.revision) for one in records]
+    assert len(names) == len(set(names))
+    newest = {(one.boot, one.sequence): one for one in sorted(records, key=lambda one: one.revision)}
+    kept = [one for one in newest.values() if not one.is_void]
+    return sorted((one.node_b, round(one.t_start_ns, -6), round(one.t_end_ns, -6)) for one in kept)

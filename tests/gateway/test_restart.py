@@ -4,10 +4,12 @@ import asyncio
 import time
 from pathlib import Path
 
+import pytest
+
 from firmware_protocol.contract.records import EncounterRecord, MissionPhase, MissionRecord
 from firmware_protocol.message_codec import encode_uplink
-from firmware_protocol.messages import EncounterBatch, EncounterEntry, UplinkHeader
-from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from firmware_protocol.messages import EncounterBatch, EncounterEntry, Hello, TimeSyncReply, Uplink, UplinkHeader
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.clocks import ClockBook
 from gateway.config import MissionTable, StimulationTable
 from gateway.downlink import DownlinkSender
@@ -95,6 +97,19 @@ def test_a_restart_at_the_end_of_dispersion_waits_for_the_biobots_it_knew(tmp_pa
     asyncio.run(story())
 
 
+def _nobody() -> IntakeListeners:
+    return IntakeListeners(
+        on_committed=lambda _: None,
+        on_status=lambda _: None,
+        on_neighbours=lambda _: None,
+        on_reply=lambda _node, _reply: None,
+        on_duplicate=lambda _node, _before, _after: None,
+        on_diagnostic=lambda _node, _diagnostic: None,
+        on_configuration=lambda _node, _report: None,
+        on_unknown_clock=lambda _: None,
+    )
+
+
 def test_a_late_encounter_is_taken_where_the_journal_cannot_be_read(tmp_path: Path) -> None:
     async def story() -> None:
         health, now_ns = Health(), time.monotonic_ns()
@@ -110,18 +125,7 @@ def test_a_late_encounter_is_taken_where_the_journal_cannot_be_read(tmp_path: Pa
             window_s=60,
             now_ns=now_ns,
         )
-        intake.connect(
-            IntakeListeners(
-                on_committed=lambda _: None,
-                on_status=lambda _: None,
-                on_neighbours=lambda _: None,
-                on_reply=lambda _node, _reply: None,
-                on_duplicate=lambda _node, _before, _after: None,
-                on_diagnostic=lambda _node, _diagnostic: None,
-                on_configuration=lambda _node, _report: None,
-                on_unknown_clock=lambda: None,
-            )
-        )
+        intake.connect(_nobody())
         reader.close()
         running = asyncio.ensure_future(journal.run())
         heard: list[object] = []
@@ -142,10 +146,55 @@ def test_a_late_encounter_is_taken_where_the_journal_cannot_be_read(tmp_path: Pa
             done = intake.take(message)
         assert done is not None
         await done
-        assert health.counters()["encounter.unread_journal"] == 1
+        assert health.counters()["encounter.unread_journal"] == 2, "neither all at once nor pair by pair"
         assert [type(record) for record in heard] == [EncounterRecord]
         running.cancel()
         await asyncio.wait({running})
         journal.close()
 
     asyncio.run(story())
+
+
+@pytest.mark.parametrize("is_same_machine", [True, False])
+def test_a_clock_is_known_after_a_restart_unless_the_machine_was_started_anew(tmp_path: Path, is_same_machine: bool) -> None:
+    async def live(says: list[tuple[int, Uplink]], *, anchor_shift_ns: int = 0) -> Health:
+        health, now_ns = Health(), time.monotonic_ns()
+        journal = Journal.open(tmp_path / "j", health=health)
+        reader, clocks = journal.reader(), ClockBook(window_ns=600 * NS_PER_S, first_token=7)
+        issuer = _issuer_of(journal)
+        issuer.earlier_anchors = tuple(Nanoseconds(one + anchor_shift_ns) for one in journal.identity.earlier_anchors)
+        intake = Intake(
+            issuer=issuer,
+            journal=journal,
+            reader=reader,
+            nodes=NodeBook(gateway="g"),
+            clocks=clocks,
+            health=health,
+            window_s=60,
+            now_ns=now_ns,
+        )
+        intake.connect(_nobody())
+        running = asyncio.ensure_future(journal.run())
+        token = clocks.begin_exchange(node=NodeId(1), now_ns=now_ns)
+        assert token == 7
+        for sequence, message in says:
+            header = UplinkHeader(node=NodeId(1), boot=BootId(1), sequence=sequence, sent_ms=Milliseconds(now_ns // NS_PER_MS))
+            payload = encode_uplink(header, message)
+            intake.take(RadioMessage(radio="r", source=ShortAddress(1), rssi_dbm=RssiDbm(-50), lqi=1, payload=payload, received_ns=now_ns))
+        await journal.drain()
+        running.cancel()
+        await asyncio.wait({running})
+        reader.close()
+        journal.close()
+        return health
+
+    tick = Milliseconds(time.monotonic_ns() // NS_PER_MS)
+    hello = Hello(eui64=1, firmware=1, beacon_period_ms=0, capabilities=1)
+    entry = EncounterEntry(
+        peer=NodeId(2), start_ms=Milliseconds(tick - 50), duration_ms=Milliseconds(5), rssi_dbm=RssiDbm(-60), is_ongoing=False
+    )
+    report = EncounterBatch(entries=(entry,))
+    asyncio.run(live([(0, hello), (0, TimeSyncReply(token=7, received_ms=Milliseconds(tick))), (1, report)]))
+    counters = asyncio.run(live([(2, report)], anchor_shift_ns=0 if is_same_machine else 1)).counters()
+    assert counters.get("message.clock_unknown", 0) == (0 if is_same_machine else 1)
+    assert counters.get("encounter.reports", 0) == (1 if is_same_machine else 0)
