@@ -9,7 +9,7 @@ from firmware_protocol.message_codec import encode_uplink
 from firmware_protocol.messages import EncounterBatch, EncounterEntry, UplinkHeader
 from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.clocks import ClockBook
-from gateway.config import MissionTable, StimulationTable
+from gateway.config import EncounterTable, MissionTable, StimulationTable
 from gateway.downlink import DownlinkSender
 from gateway.health import Health
 from gateway.intake import Intake, IntakeListeners
@@ -107,7 +107,7 @@ def test_a_late_encounter_is_taken_where_the_journal_cannot_be_read(tmp_path: Pa
             nodes=nodes,
             clocks=ClockBook(window_ns=600 * NS_PER_S),
             health=health,
-            window_s=60,
+            config=EncounterTable(window_s=60),
             now_ns=now_ns,
         )
         intake.connect(
