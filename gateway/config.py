@@ -51,9 +51,12 @@ class EncounterTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     ----
     window_s
         Records this recent are kept in memory to be corrected by a late report; of older ones the journal knows.
+    max_in_memory
+        So many encounters are kept in memory at most, some 0.8 kB each; of the oldest of more the journal knows.
     """
 
     window_s: _Seconds = 900.0
+    max_in_memory: Annotated[int, msgspec.Meta(ge=1_000, le=100_000_000)] = 200_000
 
 
 class ClockTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

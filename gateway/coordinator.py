@@ -38,6 +38,7 @@ from gateway.radio import Fate, RadioMessage, RadioOutcome, outcome_of
 from gateway.receipts import Receipts
 from gateway.sendings import Sendings
 from gateway.transports.interface import Transport
+from gateway.wake_timer import WakeTimer
 
 _log = EventLog(__name__)
 
@@ -233,25 +234,23 @@ class Coordinator:
             self._wake.set()
 
     async def _write(self, transport: Transport) -> None:
-        loop = asyncio.get_running_loop()
-        while True:
-            if (safe := self._receipts.take_ready()) is not None:  # here, so that all payloads of one commit share one acknowledgement
-                self._host.confirm(safe)
-            for frame in self._host.take_frames():
-                await transport.write(frame)
-            if self._hand_over_timed():  # after what waited for the line, or its instant would be too early by all of that
-                continue
-            deadline_ns = self._next_deadline_ns()
-            # A timer that wakes: a timeout's context would cost as much as ten messages.
-            timer = None if deadline_ns is None else loop.call_later((deadline_ns - time.monotonic_ns()) / NS_PER_S, self._wake.set)
-            try:
+        timer = WakeTimer(self._wake.set)
+        try:
+            while True:
+                if (safe := self._receipts.take_ready()) is not None:  # here, so that all payloads of one commit share one acknowledgement
+                    self._host.confirm(safe)
+                for frame in self._host.take_frames():
+                    await transport.write(frame)
+                if self._hand_over_timed():  # after what waited for the line, or its instant would be too early by all of that
+                    continue
+                deadline_ns = self._next_deadline_ns()
+                timer.aim(deadline_ns)
                 await self._wake.wait()
-            finally:
-                if timer is not None:
-                    timer.cancel()
-            self._wake.clear()
-            if deadline_ns is not None and time.monotonic_ns() >= deadline_ns:
-                self._handle_deadlines(transport)
+                self._wake.clear()
+                if deadline_ns is not None and time.monotonic_ns() >= deadline_ns:
+                    self._handle_deadlines(transport)
+        finally:
+            timer.stop()
 
     def _hand_over_timed(self) -> bool:
         """Make the timed payload that waits, if the dongle can have it now; return whether there is something to write."""

@@ -13,6 +13,7 @@ from firmware_protocol.message_codec import EncounterFields
 from firmware_protocol.messages import BROADCAST_NODE
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, Nanoseconds, NodeId, RssiDbm
 from gateway.clocks import NodeClock
+from gateway.config import EncounterTable
 from gateway.encounters import EncounterMerger, SideReport, margin_of
 from gateway.health import Health
 from gateway.issuer import RecordIssuer
@@ -21,9 +22,6 @@ from gateway.nodes import Node, NodeBook
 
 MAX_AHEAD_MS = 1_000
 """A time this far after the message was sent cannot be; less may come from rounding."""
-
-MAX_IN_MEMORY = 200_000
-"""Encounters that are remembered, whatever the window: about 160 MB."""
 
 _FORGOTTEN_AT_ONCE = 1_000
 """Encounters that are forgotten in one step of the loop: about a millisecond."""
@@ -45,20 +43,20 @@ class EncounterReports:
 
     Parameters
     ----------
-    window_s
-        How long an encounter stays in memory after its end.
+    config
+        How long an encounter stays in memory after its end, and how many do.
     now_ns
         What ended before this is in the journal alone.
     """
 
     def __init__(
-        self, *, issuer: RecordIssuer, reader: JournalReader, nodes: NodeBook, health: Health, window_s: float, now_ns: int
+        self, *, issuer: RecordIssuer, reader: JournalReader, nodes: NodeBook, health: Health, config: EncounterTable, now_ns: int
     ) -> None:
         self._issuer = issuer
         self._reader = reader
         self._nodes = nodes
         self._health = health
-        self._window_ns = int(window_s * NS_PER_S)
+        self._window_ns, self._max_in_memory = int(config.window_s * NS_PER_S), config.max_in_memory
         self._horizon_ns = self._next_horizon_ns = now_ns + _RECALL_SLACK_NS  # what the journal has may end a little later than now
         self.max_brought_back = _MAX_BROUGHT_BACK
         self._is_fresh = True
@@ -116,7 +114,7 @@ class EncounterReports:
             return False
         self._is_forgetting = True
         self._late_pairs.clear()
-        self._next_horizon_ns = max(self._next_horizon_ns, now_ns - self._window_ns, self._merger.end_of_oldest(MAX_IN_MEMORY))
+        self._next_horizon_ns = max(self._next_horizon_ns, now_ns - self._window_ns, self._merger.end_of_oldest(self._max_in_memory))
         return True
 
     def forget_old(self, n_left: int | None = None) -> None:

@@ -31,6 +31,7 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.units import LAST_NODE_ADDRESS, BootId, Milliseconds, NodeId
 from gateway.clocks import ClockBook, NodeClock
+from gateway.config import EncounterTable
 from gateway.encounter_reports import MAX_AHEAD_MS, EncounterReports
 from gateway.health import Health
 from gateway.issuer import RecordIssuer
@@ -92,7 +93,7 @@ class Intake:
         nodes: NodeBook,
         clocks: ClockBook,
         health: Health,
-        window_s: float,
+        config: EncounterTable,
         now_ns: int,
     ) -> None:
         self._issuer = issuer
@@ -101,7 +102,7 @@ class Intake:
         self._nodes = nodes
         self._clocks = clocks
         self._health = health
-        self._reports = EncounterReports(issuer=issuer, reader=reader, nodes=nodes, health=health, window_s=window_s, now_ns=now_ns)
+        self._reports = EncounterReports(issuer=issuer, reader=reader, nodes=nodes, health=health, config=config, now_ns=now_ns)
         self._modes = ModeTracker(issuer=issuer)
         self._lives: dict[NodeId, OrderedDict[BootId, _Life]] = {}
         self._clock_news: set[NodeId] = set()

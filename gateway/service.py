@@ -131,7 +131,7 @@ class Service:
             nodes=nodes,
             clocks=clocks,
             health=health,
-            window_s=config.encounters.window_s,
+            config=config.encounters,
             now_ns=now_ns,
         )
         can_buses = CanBuses()

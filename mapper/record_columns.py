@@ -22,6 +22,8 @@ MAX_WALL_NS = 2**62
 _MAX_ERROR_MARGIN_NS = 100_000_000
 _MAX_MARGIN_NS = 40_000_000_000
 _FIRST_CAPACITY = 1024
+_FEW = 32
+"""Encounters that are counted one by one: arrays cost more there than they save (measured 2026-11)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,10 +98,14 @@ def is_fit_for_columns(*, begin_ns: int, end_ns: int, node_a: int, node_b: int) 
 
 def make_rows(rows: Sequence[int], records: Sequence[EncounterRecord]) -> EncounterRows:
     """Put records beside their rows."""
+    begins, ends = [], []
+    for record in records:
+        begins.append(record.t_start_ns + record.wall_anchor_ns)
+        ends.append(record.t_end_ns + record.wall_anchor_ns)
     return EncounterRows(
         row=np.array(rows, dtype=np.int64),
-        t_start_ns=np.array([record.t_start_ns + record.wall_anchor_ns for record in records], dtype=np.int64),
-        t_end_ns=np.array([record.t_end_ns + record.wall_anchor_ns for record in records], dtype=np.int64),
+        t_start_ns=np.array(begins, dtype=np.int64),
+        t_end_ns=np.array(ends, dtype=np.int64),
         id1=np.array([record.node_a for record in records], dtype=np.uint64).view(np.int64),
         id2=np.array([record.node_b for record in records], dtype=np.uint64).view(np.int64),
         counts=np.array([not record.is_void for record in records], dtype=np.bool_),
@@ -148,8 +154,7 @@ class EncounterColumns:
         before = self._columns[:, rows.row]
         self._count(before[2], before[3], before[4].astype(np.bool_), sign=-1)
         self._count(rows.id1, rows.id2, rows.counts, sign=1)
-        for column, values in enumerate((rows.t_start_ns, rows.t_end_ns, rows.id1, rows.id2, rows.counts, changes)):
-            self._columns[column, rows.row] = values
+        self._columns[:, rows.row] = np.array((rows.t_start_ns, rows.t_end_ns, rows.id1, rows.id2, rows.counts, changes))
 
     def changed_after(self, change: int) -> EncounterRows:
         """Return the encounters that were set after a change, void ones too; after 0, all of them."""
@@ -186,7 +191,10 @@ class EncounterColumns:
 
     def _count(self, id1: IntArray, id2: IntArray, counts: BoolArray, *, sign: int) -> None:
         n_counting = int(np.count_nonzero(counts))
-        if n_counting:
-            self.n_counting += sign * n_counting
+        self.n_counting += sign * n_counting
+        if 0 < n_counting <= _FEW:
+            for node in (*id1[counts].tolist(), *id2[counts].tolist()):
+                self._n_of[node] += sign
+        elif n_counting:
             nodes, numbers = np.unique(np.concatenate([id1[counts], id2[counts]]), return_counts=True)
             self._n_of.update(dict(zip(nodes.tolist(), (sign * numbers).tolist(), strict=True)))

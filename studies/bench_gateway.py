@@ -199,12 +199,13 @@ def run_load(out: Path, load: list[str], *, source: Path | None = None, watches_
         mapper.hear()
         gateway = stack.enter_context(Part(name="gateway", arguments=run, log=out / "gateway.log", source=source))
         swarm.hear()
-        _wait_until_quiet(mapper)
+        first = _wait_until_quiet(mapper)
         before = {part.name: part.cpu_s() for part in (gateway, mapper)}
         swarm.tell("go")
         facts, memory = _follow(swarm, gateway, mapper)
         last = _wait_until_quiet(mapper)
         cpu = {part.name: part.cpu_s() - before[part.name] for part in (gateway, mapper)}
+        cpu["mapper"] -= last["watch_cpu_s"] - first["watch_cpu_s"]
         facts["stored_s"] = (last["reached_ns"] - facts["begun_ns"]) / 1e9
         facts |= {f"{name}_us": seconds / facts["entries"] * 1e6 for name, seconds in cpu.items()}
         facts["load_us"] = facts["cpu_s"] / facts["entries"] * 1e6

@@ -32,6 +32,8 @@ class ProgressWatch:
         self._ending = threading.Event()
         self.seen: list[tuple[int, int]] = []
         """Instant on the monotonic clock, changes by then."""
+        self.cpu_s = 0.0
+        """Processor time of the watch itself, which is no part of the mapper [s]."""
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -47,6 +49,7 @@ class ProgressWatch:
             if change != before:
                 self.seen.append((time.monotonic_ns(), change))
                 before = change
+            self.cpu_s = time.thread_time()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -78,6 +81,7 @@ async def _serve(options: argparse.Namespace) -> None:
                 {
                     "change": change,
                     "encounters": records.progress.n_encounters,
+                    "watch_cpu_s": watch.cpu_s,
                     "cpu_s": usage.ru_utime + usage.ru_stime,
                     "reached_ns": reached_ns,
                     "counters": {**intake.counters, **bus.counters},

@@ -31,6 +31,8 @@ _MANY = 1024
 _FIRST_COST_NS = 1_000.0
 """What a byte is taken to cost before it was measured; a message of some 30 bytes costs 10 to 50 us."""
 _WEIGHT = 0.1
+_MEASURED_EACH = 512
+"""Bytes after which a piece is measured again: reading the processor's time costs some microseconds, which is much for a frame."""
 _BUSY = 0.9
 """Share of the loop's time that radios may take together before each is held to its own share."""
 _LOAD_NS = 100 * NS_PER_MS
@@ -115,11 +117,14 @@ class FairShare:
         """How many bytes may be worked off at once."""
         return max(_MIN_PIECE, int(_ROUND_NS / self._load.n_radios / self._cost_ns))
 
-    def charge(self, n_bytes: int, *, duration_ns: int, now_ns: int) -> None:
-        """Take note of how long a piece took."""
+    def charge(self, n_bytes: int, *, duration_ns: int | None, now_ns: int) -> None:
+        """Take note of how long a piece took; None: it was not measured, and is taken to have cost what others did."""
+        if duration_ns is None:
+            duration_ns = int(n_bytes * self._cost_ns)
+        else:
+            self._cost_ns += _WEIGHT * (duration_ns / n_bytes - self._cost_ns)
         self._load.spend(duration_ns, now_ns=now_ns)
         self._time_left_ns -= duration_ns
-        self._cost_ns += _WEIGHT * (duration_ns / n_bytes - self._cost_ns)
 
     async def admit(self, n_bytes: int) -> None:
         """Return when the next piece may be handed on."""
@@ -176,7 +181,8 @@ class _SharedTransport:
         self._rest = b""
         self._n_came = 0
         self._n_handed = 0
-        self._handed_ns = 0
+        self._handed_ns: int | None = None
+        self._n_unmeasured = 0
 
     @property
     def name(self) -> str:
@@ -186,8 +192,8 @@ class _SharedTransport:
     async def read(self) -> bytes:
         """Return the next bytes; see ``Transport``. What passes until the next call is what they took to be worked off."""
         if self._n_handed:
-            now_ns = time.monotonic_ns()
-            self._share.charge(self._n_handed, duration_ns=time.thread_time_ns() - self._handed_ns, now_ns=now_ns)
+            took_ns = None if self._handed_ns is None else time.thread_time_ns() - self._handed_ns
+            self._share.charge(self._n_handed, duration_ns=took_ns, now_ns=time.monotonic_ns())
             self._n_handed = 0
         if self._rest or self._n_came >= _MANY:
             await asyncio.sleep(0)  # a transport with much in its buffer returns at once, and would let nobody else have a turn
@@ -197,7 +203,10 @@ class _SharedTransport:
         size = self._share.piece
         piece, self._rest = self._rest[:size], self._rest[size:]
         await self._share.admit(len(piece))
-        self._n_handed, self._handed_ns = len(piece), time.thread_time_ns()
+        self._n_handed, self._handed_ns = len(piece), None
+        self._n_unmeasured += len(piece)
+        if self._n_unmeasured >= _MEASURED_EACH:
+            self._n_unmeasured, self._handed_ns = 0, time.thread_time_ns()
         return piece
 
     async def write(self, data: bytes) -> None:

@@ -6,8 +6,8 @@ from typing import Protocol
 class Transport(Protocol):
     """An open byte stream. One task reads, one task writes.
 
-    Memory is bounded: ``read`` takes from the operating system only when asked, and ``write`` returns only when at most
-    about two frames of what was written still wait before the line, as far as the device lets that be known. Nothing is
+    Memory is bounded: some 8 KiB are taken from the operating system before they are asked for, and ``write`` returns only when at
+    most about two frames of what was written still wait before the line, as far as the device lets that be known. Nothing is
     ever sent behind a long queue, so an urgent frame leaves soon.
     """
 

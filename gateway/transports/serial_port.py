@@ -79,6 +79,13 @@ class SerialTransport:
         self._port = port
         self._fd: int = port.fileno()
         self._is_closed = False
+        self._unread = b""
+        self._end: str | None = None
+        """Why nothing more can be read."""
+        self._is_watched = False
+        self._awaited: asyncio.Future[None] | None = None
+        self._n_may_wait = 0
+        """Bytes that may still wait in the driver: what was written since it was last asked, and what it said then."""
 
     @property
     def name(self) -> str:
@@ -87,27 +94,26 @@ class SerialTransport:
 
     async def read(self) -> bytes:
         """Return the next bytes; raise ``TransportClosedError`` when the device is unplugged."""
-        await self._ready(for_reading=True)
-        try:
-            chunk = os.read(self._fd, _READ_SIZE)
-        except OSError as error:
-            raise TransportClosedError(name=self._name, reason=f"unplugged ({error.strerror})") from error
-        if not chunk:  # ready, but nothing to read: the line hung up
-            raise TransportClosedError(name=self._name, reason="unplugged (hang-up)")
+        while not self._unread:
+            self._check_open()
+            if self._end is not None:
+                raise TransportClosedError(name=self._name, reason=self._end)
+            loop = asyncio.get_running_loop()
+            if not self._is_watched:
+                loop.add_reader(self._fd, self._take)
+                self._is_watched = True
+            self._awaited = loop.create_future()
+            await self._awaited
+        chunk, self._unread = self._unread, b""
         return chunk
 
     async def write(self, data: bytes) -> None:
         """Send ``data`` when at most about one frame waits before it."""
         try:
-            async with asyncio.timeout(_WRITE_TIMEOUT_S):
-                await self._pace()
-                rest = memoryview(data)
-                while rest:
-                    self._check_open()
-                    try:
-                        rest = rest[os.write(self._fd, rest) :]
-                    except BlockingIOError:
-                        await self._ready(for_reading=False)
+            rest = self._write_at_once(data)
+            if rest:
+                async with asyncio.timeout(_WRITE_TIMEOUT_S):
+                    await self._write_in_time(rest)
         except TimeoutError as error:
             raise TransportSilentError(name=self._name, reason=f"took nothing for {_WRITE_TIMEOUT_S:g} s") from error
         except OSError as error:
@@ -118,9 +124,9 @@ class SerialTransport:
         if self._is_closed:
             return
         self._is_closed = True
-        loop = asyncio.get_running_loop()
-        loop.remove_reader(self._fd)
-        loop.remove_writer(self._fd)
+        self._stop_watching()
+        asyncio.get_running_loop().remove_writer(self._fd)
+        self._wake_reader()
         with contextlib.suppress(OverdueError):
             await call_in_own_thread(lambda: _close_blocking(self._port), name=f"close {self._name}", timeout_s=_CLOSE_TIMEOUT_S)
 
@@ -137,28 +143,66 @@ class SerialTransport:
         if self._is_closed:
             raise TransportClosedError(name=self._name, reason="closed by this side")
 
-    async def _ready(self, *, for_reading: bool) -> None:
+    def _take(self) -> None:
+        """Read what there is. The descriptor stays watched, as long as somebody takes what comes: that costs less than watching it anew."""
+        try:
+            chunk = os.read(self._fd, _READ_SIZE)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._end = f"unplugged ({error.strerror})"
+        else:
+            self._unread += chunk
+            if not chunk:  # ready, but nothing to read: the line hung up
+                self._end = "unplugged (hang-up)"
+        if self._end is not None or len(self._unread) >= _READ_SIZE:
+            self._stop_watching()
+        self._wake_reader()
+
+    def _stop_watching(self) -> None:
+        if self._is_watched:
+            self._is_watched = False
+            asyncio.get_running_loop().remove_reader(self._fd)
+
+    def _wake_reader(self) -> None:
+        if self._awaited is not None and not self._awaited.done():
+            self._awaited.set_result(None)
+
+    def _write_at_once(self, data: bytes) -> bytes:
+        """Write what goes without waiting; return the rest."""
         self._check_open()
+        if self._n_may_wait > _MAX_WAITING:
+            self._n_may_wait = self._n_waiting()
+            if self._n_may_wait > _MAX_WAITING:
+                return data
+        try:
+            n_written = os.write(self._fd, data)
+        except BlockingIOError:
+            return data
+        self._n_may_wait += n_written
+        return data[n_written:]
+
+    async def _write_in_time(self, data: bytes) -> None:
+        while (waiting := self._n_waiting()) > _MAX_WAITING:
+            await asyncio.sleep((waiting - _MAX_WAITING) * _BITS_PER_BYTE / self._port.baudrate)
+            self._check_open()
+        self._n_may_wait = waiting + len(data)
+        while data:
+            self._check_open()
+            try:
+                data = data[os.write(self._fd, data) :]
+            except BlockingIOError:
+                await self._writable()
+
+    async def _writable(self) -> None:
         loop = asyncio.get_running_loop()
         ready = loop.create_future()
-
-        def wake() -> None:
-            if not ready.done():
-                ready.set_result(None)
-
-        add, remove = (loop.add_reader, loop.remove_reader) if for_reading else (loop.add_writer, loop.remove_writer)
-        add(self._fd, wake)
+        loop.add_writer(self._fd, lambda: None if ready.done() else ready.set_result(None))
         try:
             await ready
         finally:
             if not self._is_closed:
-                remove(self._fd)
-        self._check_open()
-
-    async def _pace(self) -> None:
-        while (waiting := self._n_waiting()) > _MAX_WAITING:
-            await asyncio.sleep((waiting - _MAX_WAITING) * _BITS_PER_BYTE / self._port.baudrate)
-            self._check_open()
+                loop.remove_writer(self._fd)
 
     def _n_waiting(self) -> int:
         try:

@@ -45,6 +45,9 @@ class TcpTransport:
         """Send ``data``; return when the kernel has it."""
         try:
             self._writer.write(data)
+            transport = self._writer.transport
+            if not transport.get_write_buffer_size() and not transport.is_closing():
+                return  # the kernel has all of it
             async with asyncio.timeout(_WRITE_TIMEOUT_S):
                 await self._writer.drain()
         except TimeoutError as error:

@@ -12,6 +12,7 @@ from firmware_protocol.contract.records import EncounterRecord
 from firmware_protocol.message_codec import EncounterFields
 from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.clocks import ClockBook
+from gateway.config import EncounterTable
 from gateway.encounter_reports import EncounterReports
 from gateway.health import Health
 from gateway.issuer import RecordIssuer
@@ -35,7 +36,7 @@ _steps = st.lists(st.one_of(_entries, st.sampled_from(["begin", "forget", "commi
 class _Side:
     """One way of taking reports, with a journal of its own."""
 
-    def __init__(self, path: Path, *, now_ns: int | None = None, began_s: int = 2_000) -> None:
+    def __init__(self, path: Path, *, now_ns: int | None = None, began_s: int = 2_000, max_in_memory: int = 1_000) -> None:
         self.path = path
         self.journal = Journal.open(path, health=Health())
         self.reader = self.journal.reader()
@@ -53,7 +54,7 @@ class _Side:
             reader=self.reader,
             nodes=nodes,
             health=health,
-            window_s=100,
+            config=EncounterTable(window_s=100, max_in_memory=max_in_memory),
             now_ns=now_ns - began_s * NS_PER_S,
         )
         self.node, _ = nodes.heard(
@@ -129,17 +130,20 @@ def test_whatever_is_forgotten_meanwhile_the_same_is_told(steps: list[EncounterF
 
 def test_too_many_encounters_leave_memory_whatever_the_window(tmp_path: Path) -> None:
     async def story() -> None:
-        side = _Side(tmp_path / "j")
-        for second in range(50):
-            side.take((2, _SENT_MS - 60_000 + second * 1_000, 100, -60, False, None))
+        side = _Side(tmp_path / "j", max_in_memory=1_000)
+        running = asyncio.ensure_future(side.journal.run())
+        for at in range(2_500):
+            side.take((2 + at, _SENT_MS - 60_000 + at * 20, 1, -60, False, None))
         merger = side.reports._merger
-        assert len(merger) == 50
-        limit_ns = merger.end_of_oldest(20)
-        assert sum(record.t_end_ns < limit_ns for record in side.told) == 30
-        assert merger.end_of_oldest(50) == 0
-        assert merger.forget_before(limit_ns, limit=10), "there are more"
-        assert not merger.forget_before(limit_ns, limit=20)
-        assert len(merger) == 20
+        assert len(merger) == 2_500
+        assert side.reports.begin_forgetting(now_ns=side.now_ns - 3_600 * NS_PER_S), "so nothing is older than the window"
+        await side.journal.drain()
+        side.reports.forget_old()
+        for _ in range(3):  # a thousand at each step of the loop
+            await asyncio.sleep(0)
+        assert len(merger) == 1_000
+        running.cancel()
+        await asyncio.wait([running])
         side.close()
 
     asyncio.run(story())

@@ -13,6 +13,7 @@ from firmware_protocol.message_codec import encode_uplink
 from firmware_protocol.messages import Hello, Status, Uplink, UplinkHeader, WireCause, WireMode
 from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
 from gateway.clocks import ClockBook
+from gateway.config import EncounterTable
 from gateway.health import Health
 from gateway.intake import Intake, IntakeListeners
 from gateway.issuer import RecordIssuer
@@ -60,7 +61,7 @@ def _with_desk(path: Path, story: Callable[[_Desk], Awaitable[None]]) -> None:
             nodes=nodes,
             clocks=ClockBook(window_ns=600 * NS_PER_S),
             health=health,
-            window_s=60,
+            config=EncounterTable(window_s=60),
             now_ns=time.monotonic_ns(),
         )
         desk = _Desk(intake=intake, nodes=nodes, journal=journal, health=health)

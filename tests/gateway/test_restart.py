@@ -11,7 +11,7 @@ from firmware_protocol.message_codec import encode_uplink
 from firmware_protocol.messages import EncounterBatch, EncounterEntry, Hello, TimeSyncReply, Uplink, UplinkHeader
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.clocks import ClockBook
-from gateway.config import MissionTable, StimulationTable
+from gateway.config import EncounterTable, MissionTable, StimulationTable
 from gateway.downlink import DownlinkSender
 from gateway.health import Health
 from gateway.intake import Intake, IntakeListeners
@@ -122,7 +122,7 @@ def test_a_late_encounter_is_taken_where_the_journal_cannot_be_read(tmp_path: Pa
             nodes=nodes,
             clocks=ClockBook(window_ns=600 * NS_PER_S),
             health=health,
-            window_s=60,
+            config=EncounterTable(window_s=60),
             now_ns=now_ns,
         )
         intake.connect(_nobody())
@@ -170,7 +170,7 @@ def test_a_clock_is_known_after_a_restart_unless_the_machine_was_started_anew(tm
             nodes=NodeBook(gateway="g"),
             clocks=clocks,
             health=health,
-            window_s=60,
+            config=EncounterTable(window_s=60),
             now_ns=now_ns,
         )
         intake.connect(_nobody())

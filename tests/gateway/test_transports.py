@@ -1,13 +1,17 @@
 """Laws of the transports, on real ptys and sockets."""
 
 import asyncio
+import fcntl
 import os
 import socket
+import sys
+import termios
 import tty
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
+import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,7 +19,7 @@ from firmware_protocol.dialects.interface import NetworkWish
 from gateway.errors import TransportClosedError, TransportOpenError, TransportSpecError
 from gateway.transports.interface import Transport
 from gateway.transports.memory import connected_pair
-from gateway.transports.serial_port import list_serial_ports, open_serial
+from gateway.transports.serial_port import SerialTransport, list_serial_ports, open_serial
 from gateway.transports.spec import SerialSpec, TcpSpec, open_transport, parse_port_spec
 from gateway.transports.tcp import open_tcp
 
@@ -54,6 +58,75 @@ def test_all_bytes_pass_a_serial_port_both_ways() -> None:
                 received += await asyncio.to_thread(os.read, master, 4096)
             await sending
             assert received == everything
+
+    asyncio.run(story())
+
+
+def test_what_nobody_reads_stays_in_the_serial_port_but_for_a_few_kilobytes() -> None:
+    async def story() -> None:
+        async with _serial_pair() as (transport, master, _):
+            reading = asyncio.ensure_future(_read(transport, 1))
+            os.write(master, b"a")
+            assert await reading == b"a"
+            os.set_blocking(master, False)
+            sent = b""
+            while True:  # the loop may read as it likes; only when it has stopped does the line fill up
+                try:
+                    sent += bytes(os.write(master, b"x" * 1000))
+                except BlockingIOError:
+                    ready = asyncio.get_running_loop().create_future()
+                    asyncio.get_running_loop().call_later(0.05, ready.set_result, None)
+                    await ready
+                    try:
+                        sent += bytes(os.write(master, b"x" * 1000))
+                    except BlockingIOError:
+                        break
+                await asyncio.sleep(0)
+            assert len(sent) < 100_000
+            assert await _read(transport, len(sent)) == b"x" * len(sent)
+
+    asyncio.run(story())
+
+
+class _SlowPort(serial.Serial):
+    """A port whose line is a pipe: what nobody has taken out of it waits in the driver."""
+
+    def __init__(self, *, line: int, far_end: int) -> None:
+        super().__init__(port=None, baudrate=4_000_000)
+        self._line, self._far_end = line, far_end
+
+    def fileno(self) -> int:
+        return self._line
+
+    @property
+    def out_waiting(self) -> int:
+        return int.from_bytes(fcntl.ioctl(self._far_end, termios.FIONREAD, bytes(4)), sys.byteorder)
+
+
+@given(sizes=st.lists(st.integers(1, 255), min_size=1, max_size=12), takes=st.lists(st.integers(1, 400), min_size=1, max_size=12))
+def test_no_frame_stands_behind_more_than_about_one_other_on_a_serial_line(sizes: list[int], takes: list[int]) -> None:
+    async def story() -> None:
+        far_end, line = os.pipe()
+        os.set_blocking(line, False)
+        port = _SlowPort(line=line, far_end=far_end)
+        transport, behind = SerialTransport(name="slow", port=port), list[int]()
+
+        async def send() -> None:
+            for size in sizes:
+                await transport.write(bytes(size))
+                behind.append(port.out_waiting - size)
+
+        sending, at = asyncio.ensure_future(send()), 0
+        while not sending.done():
+            await asyncio.sleep(0)
+            if port.out_waiting:
+                os.read(far_end, takes[at % len(takes)])
+                at += 1
+        await sending
+        assert max(behind) <= 300
+        await transport.aclose()
+        os.close(line)
+        os.close(far_end)
 
     asyncio.run(story())
 
