@@ -9,6 +9,7 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 
 from firmware_protocol.contract.records import EncounterRecord
+from firmware_protocol.errors import RecordError
 from firmware_protocol.message_codec import EncounterFields
 from firmware_protocol.messages import BROADCAST_NODE
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, Nanoseconds, NodeId, RssiDbm
@@ -114,6 +115,7 @@ class EncounterReports:
             return False
         self._is_forgetting = True
         self._late_pairs.clear()
+        self._merger.settle_voided()  # what was told before the last choice is on disk: that was waited for
         self._next_horizon_ns = max(self._next_horizon_ns, now_ns - self._window_ns, self._merger.end_of_oldest(self._max_in_memory))
         return True
 
@@ -141,17 +143,18 @@ class EncounterReports:
             while newest is None and span_ns > NS_PER_S:
                 span_ns //= 4
                 newest = self._read_latest(latest_ns - span_ns)
-        except sqlite3.Error:
+        except (sqlite3.Error, RecordError):
             self._health.count("encounter.unread_journal")
             return
         if newest is None:
             return
-        # As in ``_recall``: of what is found, only that counts whose newest revision is in the span as well.
+        # As in ``_recall``: of what is found, only that counts whose newest revision is in the span as well, on this start's clock: before
+        # the earliest anchor's span, a later revision of what an earlier start told may lie unseen.
         near_ns = 4 * max(map(self._margin_of_record, newest), default=0)
-        from_wall_ns = latest_ns - span_ns + near_ns
-        self._restore(record for record in newest if record.t_end_ns + record.wall_anchor_ns >= from_wall_ns)
         first_anchor_ns, _ = self._issuer.to_recorded_wall_ns(0, 0)
-        self._horizon_ns = self._next_horizon_ns = min(self._horizon_ns, from_wall_ns - first_anchor_ns + _RECALL_SLACK_NS)
+        from_ns = latest_ns - span_ns + near_ns - first_anchor_ns
+        self._restore(record for record in newest if self._own_span(record)[1] >= from_ns)
+        self._horizon_ns = self._next_horizon_ns = min(self._horizon_ns, from_ns + _RECALL_SLACK_NS)
 
     def _read_latest(self, from_wall_ns: int) -> list[EncounterRecord] | None:
         """Return the newest revisions of what ended after an instant, or None where these are too many."""
@@ -169,20 +172,28 @@ class EncounterReports:
         """Bring back from the journal what the merger has forgotten and this late report may belong to."""
         node_a, node_b = sorted((report.node, report.peer))
         # What is known of an encounter's ends grows better, so a later revision may be shorter than an earlier one by up to two
-        # periods: less than four margins. Of what is found, only that counts whose newest revision is near.
+        # periods: less than four margins. Of what is found, only that counts whose newest revision is near, on this start's clock: the wall
+        # clock may have been set between two revisions, and an earlier one lie in the span without the later one.
         slack_ns = 6 * report.margin_ns + _RECALL_SLACK_NS
         from_wall_ns, to_wall_ns = self._issuer.to_recorded_wall_ns(report.t_start_ns - slack_ns, report.t_end_ns + slack_ns)
         try:
             records = self._reader.read_pair(node_a=node_a, node_b=node_b, from_wall_ns=from_wall_ns, to_wall_ns=to_wall_ns)
-        except sqlite3.Error:
+        except (sqlite3.Error, RecordError):
             # The report is kept as an encounter of its own; its other half, if there is one, stays another.
             self._health.count("encounter.unread_journal")
             return
         newest = {record.identity: record for record in records}
-        near_ns = 4 * report.margin_ns
-        near = [one for one in newest.values() if _is_near(one, from_wall_ns=from_wall_ns + near_ns, to_wall_ns=to_wall_ns - near_ns)]
+        near_ns = slack_ns - 4 * report.margin_ns
+        from_ns, to_ns = report.t_start_ns - near_ns, report.t_end_ns + near_ns
+        spans = ((one, *self._own_span(one)) for one in newest.values())
+        near = [one for one, start_ns, end_ns in spans if start_ns <= to_ns and end_ns >= from_ns]
         if near:
             self._restore(near)
+
+    def _own_span(self, record: EncounterRecord) -> tuple[int, int]:
+        """Return when a record begins and ends on this start's clock."""
+        own, anchor_ns = self._issuer.to_own_monotonic_ns, record.wall_anchor_ns
+        return own(record.t_start_ns, anchor_ns=anchor_ns), own(record.t_end_ns, anchor_ns=anchor_ns)
 
     def _n_bridged(self, node: Node | None, peer: Node | None) -> int:
         """Return how many lost beacons in a row are bridged: more where the other's reports are not to be expected here."""
@@ -199,7 +210,3 @@ class EncounterReports:
         error_ns = max((side.error_ns or record.error_ns for side in record.sides), default=record.error_ns)
         n_bridged = self._n_bridged(self._nodes.find(record.node_a), self._nodes.find(record.node_b))
         return margin_of(beacon_period_ms=self._period_ms_of(record), error_ns=error_ns, n_bridged=n_bridged)
-
-
-def _is_near(record: EncounterRecord, *, from_wall_ns: int, to_wall_ns: int) -> bool:
-    return record.t_start_ns + record.wall_anchor_ns <= to_wall_ns and record.t_end_ns + record.wall_anchor_ns >= from_wall_ns

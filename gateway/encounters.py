@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from itertools import islice
 
 from firmware_protocol.contract.records import EncounterRecord
-from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId
 from gateway.clocks import ROUGH_ERROR_NS
 from gateway.issuer import RecordIssuer
-from gateway.meetings import Meeting, SideReport, meeting_of, meeting_of_record
+from gateway.meetings import Meeting, SideReport, meeting_of, meeting_of_record, part
 from gateway.unheard import BeaconLoss
 
 __all__ = ["MAX_ERROR_MARGIN_NS", "EncounterMerger", "SideReport", "margin_of"]
@@ -62,6 +62,10 @@ class EncounterMerger:
     """Of each pair, in the order of their covers, which do not overlap."""
     _order: deque[tuple[_Pair, Meeting]] = field(default_factory=deque)
     """All of them in the order in which they were told of, and those that became a part of another one since."""
+    _voided: set[tuple[BootId, int]] = field(default_factory=set)
+    """Identities that became a part of another one, and whose last revision may not be on disk yet: no more than wait for the disk."""
+    _voided_before: set[tuple[BootId, int]] = field(default_factory=set)
+    """The same, of before the last ``settle_voided``."""
 
     def merge(self, report: SideReport) -> list[EncounterRecord]:
         """Take a report; return the records it brings about, none where it says nothing new.
@@ -99,21 +103,38 @@ class EncounterMerger:
     ) -> None:
         """Remember records of the journal, in the order of their offsets; those already remembered are left as they are.
 
+        With other margins than they were told with, covers of one pair may overlap: these records stay apart, and their covers are parted.
+
         Parameters
         ----------
         margin, period
             Give the margin and the beacon period [ns] of a record, by what is known of its biobots.
         """
         newest = {(record.boot, record.sequence): record for record in records}
-        for record in newest.values():
-            if record.is_void or not record.sides:
+        known_of: dict[_Pair, set[tuple[BootId, int]]] = {}
+        for identity, record in newest.items():
+            if record.is_void or not record.sides or identity in self._voided or identity in self._voided_before:
                 continue
-            meetings = self._meetings.setdefault((record.node_a, record.node_b), [])
+            pair = (record.node_a, record.node_b)
+            meetings = self._meetings.setdefault(pair, [])
+            known = known_of.get(pair)
+            if known is None:
+                known = known_of[pair] = {meeting.identity for meeting in meetings}
+            if identity in known:
+                continue
+            known.add(identity)
             meeting = meeting_of_record(record, issuer=self.issuer, margin_ns=margin(record), period_ns=period(record))
-            begin, end = _overlap(meetings, meeting.cover_start_ns, meeting.cover_end_ns)
-            if all(known.identity != meeting.identity for known in meetings[begin:end]):
-                meetings.insert(begin, meeting)
-                self._order.append(((record.node_a, record.node_b), meeting))
+            at = bisect_right(meetings, meeting.cover_start_ns, key=_cover_start)
+            if at:
+                part(meetings[at - 1], meeting)
+            if at < len(meetings):
+                part(meeting, meetings[at])
+            meetings.insert(at, meeting)
+            self._order.append((pair, meeting))
+
+    def settle_voided(self) -> None:
+        """Say that all that was told of before the last time this was said is on disk: the journal now tells itself what is void."""
+        self._voided, self._voided_before = set(), self._voided
 
     def end_of_oldest(self, limit: int) -> int:
         """Return before when encounters end that are more than ``limit``, those told of first [ns]; 0: there are no more."""
@@ -166,6 +187,7 @@ class EncounterMerger:
         kept, *voided = sorted(meetings[begin:end], key=_identity)
         for meeting in voided:
             kept.absorb(meeting)
+            self._voided.add(meeting.identity)
         kept.take(report)
         meetings[begin:end] = [kept]
         records = []

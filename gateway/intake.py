@@ -127,7 +127,10 @@ class Intake:
         return known.boot, *life.committed.acknowledgement()
 
     def take(self, message: RadioMessage) -> "asyncio.Future[None] | None":
-        """Take a radio payload; the future is done when all of it is on disk. None: there is nothing to wait for."""
+        """Take a radio payload; the future is done when all of it is on disk. None: there is nothing to wait for.
+
+        Where its records cannot be made, it is raised why, and the message itself goes into the journal all the same.
+        """
         fields = decode_uplink_fields(message.payload)
         if not isinstance(fields, tuple):
             self._health.count(f"message.{fields.value}")
@@ -176,15 +179,20 @@ class Intake:
         if life.received.has(number):
             self._health.count("message.repeated")
             return self._tell_again(name)
-        life.received.add(number)
         self._health.count(_COUNTERS[kind])
         tell: Callable[[IntakeListeners], None] | None = None
-        if entries is not None:
-            records: tuple[JournalRecord, ...] = tuple(self._reports.take(entries, node=node, sent_ms=sent_ms, clock=clock))
-        elif uplink is not None:
-            header = UplinkHeader(node=name, boot=boot, sequence=sequence, sent_ms=sent_ms)
-            records, tell = self._digest(uplink, header=header, node=node, clock=clock, number=number)
-            is_changed |= isinstance(uplink, Hello | Limits) and boot == node.boot
+        records: tuple[JournalRecord, ...] = ()
+        failure: Exception | None = None
+        try:
+            if entries is not None:
+                records = tuple(self._reports.take(entries, node=node, sent_ms=sent_ms, clock=clock))
+            elif uplink is not None:
+                header = UplinkHeader(node=name, boot=boot, sequence=sequence, sent_ms=sent_ms)
+                records, tell = self._digest(uplink, header=header, node=node, clock=clock, number=number)
+                is_changed |= bool(records) or (isinstance(uplink, Hello | Limits) and boot == node.boot)
+        except Exception as error:  # noqa: BLE001  # raised again once the journal has the message
+            failure = error
+        life.received.add(number)
         report = UplinkReport(
             node=name,
             boot=boot,
@@ -204,6 +212,8 @@ class Intake:
             memory = (name, msgspec.msgpack.encode(node.memory(clock=kept)))
         done = self._journal.join(JournalWrite(records=records, report=report, node=memory))
         self._await(done, _Taken(life=life, number=number, node=name, tell=tell))
+        if failure is not None:
+            raise failure
         return done
 
     def forget_old(self, *, now_ns: int) -> None:
@@ -241,7 +251,8 @@ class Intake:
                 window.next, window.is_fresh = next_number, False
                 for number in above:
                     window.add(number)
-        self._modes.restore(self._reader.read_recent_modes(limit=10_000))
+        standing = [node.mode for node in self._nodes.all() if node.mode is not None]
+        self._modes.restore((*standing, *self._reader.read_recent_modes(limit=10_000)))
 
     def _listeners_or_fail(self) -> IntakeListeners:
         assert self._listeners is not None, "connect() comes before the first message"
@@ -293,7 +304,7 @@ class Intake:
             case Status():
                 is_newest = header.boot == node.boot and self._nodes.take_status(node, uplink, number=number)
                 report = self._mode_report(uplink, header=header, clock=clock)
-                records = () if report is None else tuple(self._modes.observe(report))
+                records = () if report is None else self._take_mode(report, node=node)
                 return records, self._tell_status(node) if is_newest else None
             case Neighbours():
                 wall_ns = node.last_heard_wall_ns
@@ -301,7 +312,7 @@ class Intake:
                 return (), None if whole is None else lambda listeners: listeners.on_neighbours(whole)
             case StimulateReply():
                 report = self._mode_report(uplink, header=header, clock=clock)
-                records = () if report is None else tuple(self._modes.observe(report))
+                records = () if report is None else self._take_mode(report, node=node)
                 return records, lambda listeners: listeners.on_reply(header.node, uplink)
             case _:
                 return (), None  # batches of encounters and time sync replies were taken before
@@ -336,6 +347,12 @@ class Intake:
     def _tell_status(self, node: Node) -> Callable[[IntakeListeners], None] | None:
         status = self._nodes.status_of(node)
         return None if status is None else lambda listeners: listeners.on_status(status)
+
+    def _take_mode(self, report: ModeReport, *, node: Node) -> tuple[JournalRecord, ...]:
+        records = self._modes.observe(report)
+        if records:
+            node.mode = self._modes.newest_record(node.node)
+        return tuple(records)
 
     def _mode_report(self, uplink: Status | StimulateReply, *, header: UplinkHeader, clock: NodeClock) -> ModeReport | None:
         is_reply = isinstance(uplink, StimulateReply)

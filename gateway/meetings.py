@@ -210,6 +210,17 @@ def meeting_of_record(record: EncounterRecord, *, issuer: RecordIssuer, margin_n
     )
 
 
+def part(before: Meeting, after: Meeting) -> None:
+    """Let the covers of two encounters of a pair no longer overlap: they meet in the middle of what lies between the encounters."""
+    if before.cover_end_ns < after.cover_start_ns:
+        return
+    heard_until_ns = max((side.t_end_ns for side in (before.side_a, before.side_b) if side is not None), default=before.cover_end_ns)
+    heard_from_ns = min((side.t_start_ns for side in (after.side_a, after.side_b) if side is not None), default=after.cover_start_ns)
+    cut_ns = min((heard_until_ns + heard_from_ns + 1) // 2, before.cover_end_ns + 1, after.cover_end_ns)
+    cut_ns = max(cut_ns, before.cover_start_ns + 1, after.cover_start_ns)
+    before.cover_end_ns, after.cover_start_ns = cut_ns - 1, cut_ns
+
+
 def side_of(report: SideReport) -> EncounterSide:
     """Return what is kept of a report."""
     return EncounterSide(

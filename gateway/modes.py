@@ -96,7 +96,7 @@ class ModeTracker:
             mode=report.mode,
             cause=report.cause,
             t_start_ns=report.t_start_ns,
-            t_end_ns=following.t_start_ns if following else None,
+            t_end_ns=Nanoseconds(max(report.t_start_ns, following.t_start_ns)) if following else None,
             error_ns=report.error_ns,
             node_boot=report.boot,
             since_ms=report.since_ms,
@@ -116,6 +116,11 @@ class ModeTracker:
         """Return the mode a biobot is in as far as is known, and why."""
         spells = self._spells.get(node)
         return (spells[-1].mode, spells[-1].cause) if spells else None
+
+    def newest_record(self, node: NodeId) -> ModeRecord | None:
+        """Return the last record of a biobot's newest spell, as far as any is known."""
+        spells = self._spells.get(node)
+        return self._record(node, spells[-1]) if spells else None
 
     def restore(self, records: Iterable[ModeRecord]) -> None:
         """Remember records of the journal, given in the order of their offsets, before any report is taken."""

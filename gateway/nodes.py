@@ -11,6 +11,7 @@ from firmware_protocol.contract.records import (
     BackpackLimits,
     Cause,
     Mode,
+    ModeRecord,
     NeighbourEntry,
     NeighbourReport,
     NodeStatus,
@@ -59,6 +60,8 @@ class NodeMemory(msgspec.Struct, frozen=True, kw_only=True):
     beacon_period_ms: int
     capabilities: int
     is_introduced: bool
+    mode: ModeRecord | None = None
+    """Its newest spell: it may be far older than the newest mode records of all."""
     limits: Limits | None = None
     """As last announced, by this boot or an earlier one: they bound what is sent until the next announcement."""
     clock: ClockMemory | None = None
@@ -83,6 +86,8 @@ class Node:
     firmware: int = 0
     beacon_period_ms: int = 0
     capabilities: int = 0
+    mode: ModeRecord | None = None
+    """The last record of its newest spell."""
     status: Status | None = None
     status_number: int | None = None
     """Unwrapped sequence number of ``status``, in this boot; the same of ``neighbours``, of its last part."""
@@ -101,6 +106,7 @@ class Node:
         return NodeMemory(
             node=self.node,
             boot=self.boot,
+            mode=self.mode,
             radio=self.radio,
             address=self.address,
             eui64=self.eui64,
@@ -315,6 +321,7 @@ class NodeBook:
                 rssi_dbm=RssiDbm(0),
                 lqi=0,
                 is_introduced=memory.is_introduced,
+                mode=memory.mode,
                 eui64=memory.eui64,
                 firmware=memory.firmware,
                 beacon_period_ms=memory.beacon_period_ms,

@@ -273,3 +273,40 @@ def test_lost_beacons_do_not_tear_an_encounter_apart_once_they_are_known_to_be_l
     newest = newest_encounters(records)
     assert 0.15 < merger.loss.share < 0.23
     assert [record.t_end_ns - record.t_start_ns > 18_000 * _MS for record in newest[-10:]] == [True] * 10
+
+
+@given(_reports(), st.integers(0, 40), st.data())
+def test_what_is_restored_with_other_margins_stays_apart_and_in_order(reports: list[SideReport], margin: int, data: st.DataObject) -> None:
+    published = newest_encounters(_merge_all(reports))
+    published = [record for record in data.draw(st.permutations(published)) if not record.is_void]
+    again = EncounterMerger(issuer=an_issuer(boot=2))
+    again.restore(published, margin=lambda _: (margin + 1) * _MS)
+    for pair, meetings in again._meetings.items():
+        ours = sorted((record for record in published if (record.node_a, record.node_b) == pair), key=lambda record: record.t_start_ns)
+        assert [meeting.sequence for meeting in meetings] == [record.sequence for record in ours]
+        for meeting, following in pairwise(meetings):
+            assert meeting.cover_end_ns < following.cover_start_ns
+        for meeting, record in zip(meetings, ours, strict=True):
+            assert meeting.cover_start_ns <= record.t_start_ns
+            assert record.t_end_ns <= meeting.cover_end_ns
+
+
+def test_with_wider_margins_than_before_a_restart_a_report_still_revises_its_own_encounter() -> None:
+    first = EncounterMerger(issuer=an_issuer())
+    published = first.merge(_report(1, 2, 100, 119, margin=1)) + first.merge(_report(1, 2, 122, 130, margin=1, is_ongoing=True))
+    again = EncounterMerger(issuer=an_issuer(boot=2))
+    again.restore(published, margin=lambda _: 3 * _MS)
+    (record,) = again.merge(_report(1, 2, 130, 135, margin=3))
+    assert (record.identity, record.revision) == (published[1].identity, 1)
+
+
+def test_what_was_voided_does_not_come_back_before_its_void_is_on_disk() -> None:
+    merger = EncounterMerger(issuer=an_issuer())
+    on_disk = merger.merge(_report(1, 2, 0, 10)) + merger.merge(_report(1, 2, 40, 50))
+    merger.merge(_report(1, 2, 10, 40))
+    merger.settle_voided()
+    for _ in range(2):
+        merger.restore(on_disk, margin=lambda _: 5 * _MS)
+        assert [meeting.sequence for meeting in merger._meetings[NodeId(1), NodeId(2)]] == [0]
+    merger.settle_voided()
+    assert not merger._voided | merger._voided_before, "the journal tells it from now on"

@@ -5,19 +5,20 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.contract.records import EncounterRecord
 from firmware_protocol.message_codec import EncounterFields
-from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.clocks import ClockBook
 from gateway.config import EncounterTable
 from gateway.encounter_reports import EncounterReports
 from gateway.health import Health
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
-from gateway.journal_file import JournalWrite
+from gateway.journal_file import JournalFile, JournalReader, JournalWrite, SegmentBuilder, open_journal_file
 from gateway.nodes import NodeBook
 
 _SENT_MS = 1_000_000
@@ -190,3 +191,68 @@ def _newest(records: list[EncounterRecord]) -> list[tuple[object, ...]]:
     newest = {(one.boot, one.sequence): one for one in sorted(records, key=lambda one: one.revision)}
     kept = [one for one in newest.values() if not one.is_void]
     return sorted((one.node_b, round(one.t_start_ns, -6), round(one.t_end_ns, -6)) for one in kept)
+
+
+class _Start:
+    """One start of a gateway on a journal, when the wall clock says ``wall_ns``; the monotonic clock is that of one boot of the machine."""
+
+    def __init__(self, path: Path, *, wall_ns: int) -> None:
+        now_ns, nodes = _SENT_MS * NS_PER_MS, NodeBook(gateway="g")
+        self.file: JournalFile = open_journal_file(path, now_wall_ns=wall_ns, now_ns=now_ns, machine_boot="m")
+        self.reader = JournalReader(path)
+        is_of = self.file.identity
+        self.issuer = RecordIssuer(
+            gateway="g", journal=is_of.journal, boot=is_of.boot, wall_anchor_ns=is_of.wall_anchor_ns, earlier_anchors=is_of.earlier_anchors
+        )
+        self.reports = EncounterReports(
+            issuer=self.issuer, reader=self.reader, nodes=nodes, health=Health(), config=EncounterTable(window_s=100), now_ns=now_ns
+        )
+        self.clocks, self.nodes, self.now_ns = ClockBook(window_ns=600 * NS_PER_S), nodes, now_ns
+        self.next_offset = is_of.head_offset + 1
+
+    def take(self, node: int, *entries: EncounterFields) -> list[EncounterRecord]:
+        """Take reports of a biobot, and commit what they bring about."""
+        sent_ms = Milliseconds(_SENT_MS)
+        known, _ = self.nodes.heard(
+            node=NodeId(node),
+            boot=BootId(1),
+            radio="r",
+            address=ShortAddress(node),
+            rssi_dbm=RssiDbm(-50),
+            lqi=1,
+            sent_ms=sent_ms,
+            now_ns=self.now_ns,
+            now_wall_ns=Nanoseconds(0),
+        )
+        clock = self.clocks.observe(node=NodeId(node), boot=BootId(1), sent_ms=sent_ms, received_ns=self.now_ns)
+        records = self.reports.take(entries, node=known, sent_ms=_SENT_MS, clock=clock)
+        segment = SegmentBuilder(first_offset=self.next_offset, windows=self.file.windows)
+        segment.add(JournalWrite(records=tuple(records)))
+        self.file.commit(segment)
+        self.next_offset = segment.next_offset
+        return records
+
+    def close(self) -> None:
+        self.reader.close()
+        self.file.close()
+
+
+@pytest.mark.parametrize("step_s", [3_600, -3_600, 60, -60])
+@pytest.mark.parametrize("is_recalled", [True, False])
+def test_a_wall_clock_set_between_two_starts_does_not_bring_back_a_stale_revision(tmp_path: Path, step_s: int, is_recalled: bool) -> None:
+    """A third start hears the other side, after an older encounter or not: it has to go on from the second start's revision."""
+    wall_ns, begin_ms = 1_790_000_000 * NS_PER_S, _SENT_MS - 700_000
+    told: list[EncounterRecord] = []
+    others: tuple[EncounterFields, ...] = ((2, begin_ms - 200_000, 5_000, -50, False, None),) if is_recalled else ()
+    for at_ns, node, entries in (
+        (wall_ns, 1, ((2, begin_ms, 20_000, -50, True, None),)),
+        (wall_ns + step_s * NS_PER_S, 1, ((2, begin_ms, 60_000, -50, True, None),)),
+        (wall_ns + step_s * NS_PER_S, 1, others),
+        (wall_ns + step_s * NS_PER_S, 2, ((1, begin_ms, 90_000, -50, False, None),)),
+    ):
+        start = _Start(tmp_path / "j", wall_ns=at_ns)
+        told += start.take(node, *entries)
+        start.close()
+    ours = [record for record in told if record.identity == told[0].identity]
+    assert [record.revision for record in ours] == [0, 1, 2]
+    assert [side.node for side in ours[-1].sides] == [1, 2]

@@ -1,6 +1,8 @@
 """Laws of the intake, on a real journal: what an uplink message may change, and what it may not."""
 
 import asyncio
+import contextlib
+import sqlite3
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -8,16 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from firmware_protocol.contract.records import NodeStatus
+from firmware_protocol.contract.records import Cause, Mode, NodeStatus
 from firmware_protocol.message_codec import encode_uplink
-from firmware_protocol.messages import Hello, Status, Uplink, UplinkHeader, WireCause, WireMode
-from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
+from firmware_protocol.messages import EncounterBatch, EncounterEntry, Hello, Status, Uplink, UplinkHeader, WireCause, WireMode
+from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.clocks import ClockBook
 from gateway.config import EncounterTable
 from gateway.health import Health
 from gateway.intake import Intake, IntakeListeners
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
+from gateway.journal_file import JournalWrite
+from gateway.modes import ModeReport, ModeTracker
 from gateway.nodes import NodeBook
 from gateway.radio import RadioMessage
 
@@ -151,3 +155,109 @@ def test_what_is_repeated_while_the_disk_waits_is_told_once_when_it_is_there(tmp
         running.cancel()
 
     _with_desk(tmp_path / "j", story)
+
+
+def _a_batch(*, peer: int, start_ms: int) -> EncounterBatch:
+    entry = EncounterEntry(
+        peer=NodeId(peer), start_ms=Milliseconds(start_ms), duration_ms=Milliseconds(500), rssi_dbm=RssiDbm(-50), is_ongoing=False
+    )
+    return EncounterBatch(entries=(entry,))
+
+
+def _a_status(mode: WireMode, *, since_ms: int) -> Status:
+    return Status(mode=mode, cause=WireCause.NATURAL, mode_since_ms=Milliseconds(since_ms), battery_mv=1, buffered=0, dropped=0)
+
+
+def test_a_late_encounter_of_a_pair_whose_records_are_damaged_is_taken(tmp_path: Path) -> None:
+    async def before(desk: _Desk) -> None:
+        running = asyncio.ensure_future(desk.journal.run())
+        desk.take(_a_hello(1), sequence=0, sent_ms=100_000)
+        done = desk.take(_a_batch(peer=9, start_ms=95_000), sequence=1, sent_ms=161_000, late_s=61)
+        assert done is not None
+        await done
+        running.cancel()
+
+    async def after(desk: _Desk) -> None:
+        running = asyncio.ensure_future(desk.journal.run())
+        desk.take(_a_hello(1), sequence=0, sent_ms=100_000)
+        done = desk.take(_a_batch(peer=9, start_ms=96_000), sequence=2, sent_ms=161_000, late_s=61)
+        assert done is not None
+        await done
+        assert desk.health.counters()["encounter.unread_journal"] >= 1
+        assert desk.journal.head_offset == 2
+        running.cancel()
+
+    _with_desk(tmp_path / "j", before)
+    with contextlib.closing(sqlite3.connect(tmp_path / "j")) as connection, connection:
+        segment, records = connection.execute("SELECT segment, records FROM contents WHERE length(records) > 0").fetchone()
+        damaged = records[:8] + b"\xc1" + records[9:]  # an octet that MessagePack never uses
+        connection.execute("UPDATE contents SET records = ? WHERE segment = ?", (damaged, segment))
+    _with_desk(tmp_path / "j", after)
+
+
+def test_a_message_at_whose_records_the_gateway_fails_is_on_disk_before_it_is_acknowledged(tmp_path: Path) -> None:
+    """The failure here is that of a node book which forgot to be asked only for numbers; any other would do."""
+
+    async def story(desk: _Desk) -> None:
+        running = asyncio.ensure_future(desk.journal.run())
+        desk.take(_a_hello(1), sequence=0, sent_ms=100_000)
+        desk.nodes.all()[0].beacon_period_ms = None  # type: ignore[assignment]
+        with pytest.raises(TypeError):
+            desk.take(_a_batch(peer=9, start_ms=95_000), sequence=1, sent_ms=161_000, late_s=61)
+        assert desk.committed == []
+        await desk.journal.drain()
+        await asyncio.sleep(0)
+        assert desk.committed == [7, 7]
+        with contextlib.closing(desk.journal.reader()) as reader:
+            assert [report.number for report in reader.read_reports()] == [0, 1]
+        running.cancel()
+
+    _with_desk(tmp_path / "j", story)
+
+
+def test_a_mode_that_stands_longer_than_all_that_is_read_at_the_start_is_no_second_spell(tmp_path: Path) -> None:
+    async def before(desk: _Desk) -> None:
+        running = asyncio.ensure_future(desk.journal.run())
+        desk.take(_a_hello(1), sequence=0, sent_ms=100_000)
+        done = desk.take(_a_status(WireMode.S, since_ms=90_000), sequence=1, sent_ms=161_000, late_s=61)
+        assert done is not None
+        await done
+        assert desk.journal.head_offset == 1
+        other = RecordIssuer(gateway="g", journal=desk.journal.journal_id, boot=BootId(9), wall_anchor_ns=Nanoseconds(0))
+        crowd = ModeTracker(issuer=other)
+        spells = []
+        for second in range(10_001):
+            spells += crowd.observe(
+                ModeReport(
+                    node=NodeId(8),
+                    boot=BootId(second),
+                    since_ms=Milliseconds(0),
+                    t_start_ns=Nanoseconds(second * NS_PER_S),
+                    error_ns=Nanoseconds(1),
+                    mode=Mode.S,
+                    cause=Cause.NATURAL,
+                    is_from_reply=False,
+                )
+            )
+        await desk.journal.append(JournalWrite(records=tuple(spells)))
+        running.cancel()
+
+    async def after(desk: _Desk) -> None:
+        running = asyncio.ensure_future(desk.journal.run())
+        desk.take(_a_hello(1), sequence=0, sent_ms=100_000)
+        head_offset = desk.journal.head_offset
+        again = desk.take(_a_status(WireMode.S, since_ms=90_000), sequence=2, sent_ms=161_000, late_s=61)
+        assert again is not None
+        await again
+        assert desk.journal.head_offset == head_offset, "the same spell"
+        done = desk.take(_a_status(WireMode.CRW, since_ms=160_000), sequence=3, sent_ms=161_000, late_s=61)
+        assert done is not None
+        await done
+        with contextlib.closing(desk.journal.reader()) as reader:
+            first, closed, begun = (record for record in reader.read_recent_modes(limit=100_000) if record.node == 7)
+        assert (closed.identity, closed.revision) == (first.identity, 1)
+        assert closed.t_end_ns == begun.t_start_ns
+        running.cancel()
+
+    _with_desk(tmp_path / "j", before)
+    _with_desk(tmp_path / "j", after)

@@ -79,3 +79,10 @@ def test_a_backpack_that_restarts_ends_the_spell_of_its_last_life() -> None:
     closed, begun = tracker.observe(_report(100, Mode.CRW, boot=2, shift=90_000))
     assert (closed.mode, closed.t_end_ns) == (Mode.S, 90_100 * NS_PER_MS)
     assert (begun.mode, begun.t_end_ns) == (Mode.CRW, None)
+
+
+def test_a_late_spell_does_not_end_before_it_begins_where_the_clock_was_fitted_anew() -> None:
+    tracker = ModeTracker(issuer=an_issuer())
+    tracker.observe(_report(12_000, Mode.CRW))
+    (late,) = tracker.observe(_report(11_000, Mode.S, shift=1_500))
+    assert (late.t_start_ns, late.t_end_ns) == (12_500 * NS_PER_MS, 12_500 * NS_PER_MS)
