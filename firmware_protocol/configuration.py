@@ -182,9 +182,18 @@ def _convert(value: object, wanted: Any) -> object:
         try:
             return msgspec.convert(str(value), wanted, strict=False)
         except msgspec.ValidationError:
+            if not _is_list(wanted):
+                raise
             parts = [part.strip() for part in value.split(",") if part.strip()]
             return msgspec.convert(parts, wanted, strict=False)
     return msgspec.convert(value, wanted)
+
+
+def _is_list(kind: Any) -> bool:
+    """Whether a type is, or may be, a list: the parts of ``X | None`` and of ``Annotated`` count."""
+    if get_origin(kind) in (tuple, list):
+        return True
+    return get_origin(kind) not in (None, Literal) and any(_is_list(part) for part in get_args(kind))
 
 
 def _choices(kind: Any) -> list[str]:

@@ -1,29 +1,30 @@
 """Build the gateway's configuration from its four sources, and find all that is wrong with it at once.
 
 Types and limits of single values stand in ``config``; here is what they cannot say: names, ports, values that must fit each other, and
-whether files can be where they are wanted. Nothing is made or opened.
+whether files can be where they are wanted.
 """
 
 import os
 import re
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from firmware_protocol.configuration import Unfit, load_configuration
 from firmware_protocol.contract.access import Role
 from firmware_protocol.contract.keys import check_name
-from firmware_protocol.contract.sessions import tls_problems
+from firmware_protocol.contract.sessions import endpoint_problem, tls_problems
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
 from firmware_protocol.messages import OWN_CHANNEL
 from gateway.config import GatewayConfig, StimulationTable, WaveformName
+from gateway.errors import JournalUnfitError
+from gateway.journal_file import expect_fit_to_open
 from gateway.tls_files import check_tls_files, read_roster
 from gateway.transports.spec import port_problems
 
 ENVIRONMENT_PREFIX = "BIOBOT_GATEWAY"
 
 _LAST_CHANNEL = 7  # WIRE_FORMAT.md §5.8: Limits has eight bits for them
-_LINKS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
-"""Kinds of link that the Zenoh library on PyPI has (measured, eclipse-zenoh 1.10)."""
 
 
 def load_gateway_config(
@@ -34,6 +35,7 @@ def load_gateway_config(
     flag_names: Mapping[str, str] | None = None,
     needs_radio: bool = True,
     roles: Sequence[Role] = (Role.GATEWAY,),
+    tries_places: bool = False,
 ) -> GatewayConfig:
     """Build the configuration from its four sources and check what types cannot say.
 
@@ -44,7 +46,9 @@ def load_gateway_config(
     needs_radio
         Whether a configuration that names no radio is a fault.
     roles
-        What the certificate must be for; a gateway's must have its name too.
+        What the certificate must be for; a gateway's must have its name too. Only a gateway's places on the disk are looked at.
+    tries_places
+        Whether the journal that is there is read, and its directory written to for a moment, as the gateway would do it next.
 
     Raises
     ------
@@ -63,7 +67,8 @@ def load_gateway_config(
         yield from _port_problems(config, needs_radio=needs_radio)
         yield from _endpoint_problems(config)
         yield from _tls_problems(config, roles)
-        yield from _place_problems(config)
+        if Role.GATEWAY in roles:
+            yield from _place_problems(config, tries_places=tries_places)
         yield from _monitor_problems(config)
         yield from _pulse_problems(config.stimulation)
         yield from _threshold_problems(config)
@@ -107,10 +112,8 @@ def _port_problems(config: GatewayConfig, *, needs_radio: bool) -> Iterator[Unfi
 def _endpoint_problems(config: GatewayConfig) -> Iterator[Unfit]:
     for key, endpoints in (("listen", config.listen), ("connect", config.connect)):
         for endpoint in endpoints:
-            link, slash, address = endpoint.partition("/")
-            if not slash or not address or link not in _LINKS:
-                wanted = f"must be LINK/ADDRESS with one of the links {', '.join(_LINKS)}, such as tcp/127.0.0.1:7447"
-                yield Unfit(keys=(key,), reason=f"{key}: endpoint {endpoint!r} {wanted}")
+            if reason := endpoint_problem(endpoint, listens=key == "listen"):
+                yield Unfit(keys=(key,), reason=f"{key}: {reason}")
 
 
 def _tls_problems(config: GatewayConfig, roles: Sequence[Role]) -> Iterator[Unfit]:
@@ -123,9 +126,18 @@ def _tls_problems(config: GatewayConfig, roles: Sequence[Role]) -> Iterator[Unfi
         yield Unfit(keys=("roster",), reason=reason)
 
 
-def _place_problems(config: GatewayConfig) -> Iterator[Unfit]:
-    if why := _why_no_file(Path(config.journal)):
+def _place_problems(config: GatewayConfig, *, tries_places: bool) -> Iterator[Unfit]:
+    path = Path(config.journal)
+    if why := _why_no_file(path):
         yield Unfit(keys=("journal",), reason=f"journal {config.journal}: {why}")
+    elif tries_places:
+        if why := _why_nothing_is_made(path.parent):
+            yield Unfit(keys=("journal",), reason=f"journal {config.journal}: {why}")
+        if path.exists():
+            try:
+                expect_fit_to_open(path, gateway=config.name)
+            except JournalUnfitError as error:
+                yield Unfit(keys=("journal", "name"), reason=str(error))
     directory = config.recording.directory
     if directory is not None and (why := _why_no_directory(Path(directory))):
         yield Unfit(keys=("recording.directory",), reason=f"recording.directory {directory}: {why}")
@@ -179,6 +191,17 @@ def _why_unfit_file(path: Path) -> str:
     if not folder.is_dir():
         return f"{folder} is no directory; make it, or name a file elsewhere"
     return "" if os.access(folder, os.W_OK | os.X_OK) else f"nothing can be made in {folder} by this user; give it to the gateway's user"
+
+
+def _why_nothing_is_made(folder: Path) -> str:
+    """Try it, because permissions alone do not tell of a disk that is full or read-only; nothing is left behind."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(b"\0")
+            probe.flush()
+    except OSError as error:
+        return f"nothing can be written in {folder}: {(error.strerror or str(error)).lower()}; make room, or name a file elsewhere"
+    return ""
 
 
 def _why_no_directory(path: Path) -> str:

@@ -5,8 +5,8 @@ import ssl
 import time
 from collections.abc import Sequence
 
-from firmware_protocol.contract.handshakes import Handshake, explain
-from firmware_protocol.contract.sessions import SECURE_PREFIXES, TlsTable, host_and_port
+from firmware_protocol.contract.handshakes import Handshake, explain, no_such_host
+from firmware_protocol.contract.sessions import SECURE_PREFIXES, TlsTable, endpoint_problem, host_and_port
 from gateway.tls_files import client_context
 
 _CONNECT_S = 2.0
@@ -20,7 +20,7 @@ def diagnose(endpoint: str, tls: TlsTable) -> str:
     """Return why a session with an endpoint does not come about; takes up to 3 s and never raises."""
     address = host_and_port(endpoint)
     if address is None:
-        return "only tcp/ and tls/ endpoints can be tried by hand; see the other side's log"
+        return endpoint_problem(endpoint, listens=False) or "only tcp/ and tls/ endpoints can be tried by hand; see the other side's log"
     host, port = address
     try:
         with socket.create_connection((host, port), timeout=_CONNECT_S) as line:
@@ -33,6 +33,8 @@ def diagnose(endpoint: str, tls: TlsTable) -> str:
         return f"no answer within {_CONNECT_S:g} s; is the machine on, and the network there?"
     except ssl.SSLError as error:
         return explain(error)
+    except socket.gaierror:
+        return no_such_host(host)
     except OSError as error:
         return f"cannot be reached: {(error.strerror or str(error)).lower()}"
 

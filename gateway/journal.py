@@ -108,9 +108,10 @@ class Journal:
         self._on_alarm: Callable[[str, Mapping[str, str]], None] | None = None
 
     @classmethod
-    def open(cls, path: Path, *, health: Health, retention: Retention = _KEEP_ALL) -> Self:
-        """Open or make the journal at ``path``; raises ``JournalUnfitError``."""
-        file = open_journal_file(path, now_wall_ns=time.time_ns(), now_ns=time.monotonic_ns(), machine_boot=_read_machine_boot())
+    def open(cls, path: Path, *, health: Health, retention: Retention = _KEEP_ALL, gateway: str | None = None) -> Self:
+        """Open or make the journal at ``path``, of a gateway of that name (None: whichever); raises ``JournalUnfitError``."""
+        boot = _read_machine_boot()
+        file = open_journal_file(path, now_wall_ns=time.time_ns(), now_ns=time.monotonic_ns(), machine_boot=boot, gateway=gateway)
         return cls(path=path, file=file, health=health, retention=retention)
 
     @property

@@ -96,7 +96,8 @@ class Service:
 
     async def _run_open(self, on_ready: Callable[[], None] | None) -> None:
         ports = {spec.name: spec for spec in map(parse_port_spec, self._config.ports)}
-        self._journal = Journal.open(Path(self._config.journal), health=self._health, retention=_retention_of(self._config))
+        config = self._config
+        self._journal = Journal.open(Path(config.journal), health=self._health, retention=_retention_of(config), gateway=config.name)
         try:
             bus = await asyncio.to_thread(Bus.open, self._config, health=self._health)
             try:

@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -72,15 +73,16 @@ def _check_configuration(args: argparse.Namespace) -> int:
     """Check file, environment and the flags of the command, all of them before any fault is told."""
     from mapper.feasibility_report import check_given  # noqa: PLC0415  # see _run
     from mapper.kernels import choose_kernels  # noqa: PLC0415  # see _run
+    from mapper.service_checks import check_service  # noqa: PLC0415  # see _run
     from mapper.time_limits import make_limits  # noqa: PLC0415  # see _run
-    from mapper.tls_files import check_tls_files  # noqa: PLC0415  # see _run
 
     flags = _recipe_flags(args)
     if args.command == "serve":
         flags |= {f"serve.{name}": getattr(args, name, None) for name in ServiceConfig.__struct_fields__}
 
     def check_sources() -> None:
-        load_mapper_config(args.config, environment=os.environ, flags=flags, check=lambda config: check_tls_files(config)[0])
+        check = partial(check_service, tries_places=True)
+        load_mapper_config(args.config, environment=os.environ, flags=flags, check=check)
 
     checks: list[Callable[[], object]] = [check_sources, choose_kernels]
     if args.command == "run":

@@ -1,13 +1,14 @@
 """Says once why no gateway or router is connected, and once when one is again."""
 
 import asyncio
+import socket
 import ssl
 import time
 from collections.abc import Callable
 from typing import Final
 
-from firmware_protocol.contract.handshakes import CertificateFacts, Handshake, explain
-from firmware_protocol.contract.sessions import SECURE_PREFIXES, TlsTable, host_and_port
+from firmware_protocol.contract.handshakes import CertificateFacts, Handshake, explain, no_such_host
+from firmware_protocol.contract.sessions import SECURE_PREFIXES, TlsTable, endpoint_problem, host_and_port
 from mapper.log import EventLog
 from mapper.tls_files import EXPIRES_SOON_DAYS, client_context
 
@@ -87,7 +88,7 @@ async def diagnose(endpoint: str, tls: TlsTable) -> str:
     """Return why a session with an endpoint does not come about; takes up to 3 s and never raises."""
     address = host_and_port(endpoint)
     if address is None:
-        return "only tcp/ and tls/ endpoints can be tried by hand; see the other side's log"
+        return endpoint_problem(endpoint, listens=False) or "only tcp/ and tls/ endpoints can be tried by hand; see the other side's log"
     try:
         async with asyncio.timeout(_CONNECT_S):
             reader, writer = await asyncio.open_connection(*address)
@@ -95,6 +96,8 @@ async def diagnose(endpoint: str, tls: TlsTable) -> str:
         return "nobody listens there; is the router or gateway running, and the port right?"
     except TimeoutError:
         return f"no answer within {_CONNECT_S:g} s; is the machine on, and the network there?"
+    except socket.gaierror:
+        return no_such_host(address[0])
     except OSError as error:
         return f"cannot be reached: {(error.strerror or str(error)).lower()}"
     try:

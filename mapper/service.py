@@ -32,6 +32,7 @@ from mapper.intake import Intake
 from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
 from mapper.rips_engines import name_engine
+from mapper.service_checks import check_service
 from mapper.service_manager import ServiceManager
 from mapper.store_thread import StoreThread
 from mapper.tls_files import check_tls_files
@@ -83,7 +84,7 @@ def main(args: argparse.Namespace) -> int:
     ConfigurationError, MapError
         The configuration is unfit, or store, bus or address cannot be had.
     """
-    config = load_mapper_config(args.config, environment=os.environ, flags=_flags(args), check=lambda config: check_tls_files(config)[0])
+    config = load_mapper_config(args.config, environment=os.environ, flags=_flags(args), check=check_service)
     _, facts = check_tls_files(config)
     set_up_logging(level=config.serve.log_level)
     sys.setswitchinterval(_SWITCH_S)

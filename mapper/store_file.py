@@ -82,6 +82,18 @@ def open_store_file(path: Path | None) -> sqlite3.Connection:
     return database
 
 
+def expect_fit_file(path: Path) -> None:
+    """Raise ``StoreError`` where a file could not be opened as a store, as far as its first octets tell; nothing is made or written."""
+    _refuse_foreign_file(path)
+    try:
+        with path.open("rb") as file:
+            version = int.from_bytes(file.read(64)[60:64], "big")  # PRAGMA user_version, as the log was last brought in
+    except FileNotFoundError:
+        return
+    if version > SCHEMA_VERSION:
+        raise _too_new(str(path), version)
+
+
 def store_name(path: Path | None) -> str:
     """Name a store for people."""
     return "the store in memory" if path is None else str(path)
@@ -124,11 +136,7 @@ def _prepare(database: sqlite3.Connection, *, path: str) -> None:
     elif application_id != APPLICATION_ID:
         raise _foreign(path)
     elif not 1 <= version <= SCHEMA_VERSION:
-        raise StoreError(
-            path=path,
-            reason=f"has schema version {version}, but this program knows {SCHEMA_VERSION}",
-            next_step="use the version of the program that made it, or name another file",
-        )
+        raise _too_new(path, version)
     for step in range(version + 1, SCHEMA_VERSION + 1):
         for statement in _STEPS[step].split(";"):
             database.execute(statement)
@@ -162,3 +170,11 @@ def _refuse_foreign_file(path: Path) -> None:
 
 def _foreign(path: str) -> StoreError:
     return StoreError(path=path, reason="is the SQLite file of another program", next_step="name another file")
+
+
+def _too_new(path: str, version: int) -> StoreError:
+    return StoreError(
+        path=path,
+        reason=f"has schema version {version}, but this program knows {SCHEMA_VERSION}",
+        next_step="use the version of the program that made it, or name another file",
+    )

@@ -50,6 +50,11 @@ def explain(error: ssl.SSLError) -> str:
     return f"TLS fails: {error.reason or error}"
 
 
+def no_such_host(host: str) -> str:
+    """Say that a name does not resolve, and what to do."""
+    return f"there is no host {host}: is it spelled right, is the network up?"
+
+
 def _explain_unverified(message: str) -> str:
     lowered = message.lower()
     if "expired" in lowered:

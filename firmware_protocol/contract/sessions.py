@@ -25,6 +25,11 @@ RETRY_MS: Final = {"period_init_ms": 100, "period_max_ms": 200, "period_increase
 
 _MAX_PORT: Final = 65_535
 
+_LINKS: Final = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
+"""Kinds of link that the Zenoh library on PyPI has (measured, eclipse-zenoh 1.10)."""
+
+_LINKS_WITH_PORTS: Final = frozenset(_LINKS) - {"unixsock-stream"}
+
 _COMMON: Final[dict[str, object]] = {
     "scouting/multicast/enabled": False,
     # Implicit shared memory has lost messages to descheduled receivers (zenoh issue 2628) and gains nothing at these sizes.
@@ -96,6 +101,22 @@ def tls_problems(tls: TlsTable, *, listen: Sequence[str], connect: Sequence[str]
             if endpoint.startswith(SECURE_PREFIXES)
         ]
     return problems
+
+
+def endpoint_problem(endpoint: str, *, listens: bool) -> str | None:
+    """Return what is wrong with an endpoint, or None. One that is listened on may have port 0, which takes a free one."""
+    link, slash, address = endpoint.partition("/")
+    if not slash or not address or link not in _LINKS:
+        return f"endpoint {endpoint!r} must be LINK/ADDRESS with one of the links {', '.join(_LINKS)}, such as tcp/127.0.0.1:7447"
+    if link not in _LINKS_WITH_PORTS:
+        return None
+    host, _, port = address.partition("#")[0].partition("?")[0].rpartition(":")
+    least = 0 if listens else 1
+    if not host or (":" in host and not (host.startswith("[") and host.endswith("]"))):
+        return f"endpoint {endpoint!r} names no host and port; give {link}/HOST:PORT, such as {link}/127.0.0.1:7447 or {link}/[::1]:7447"
+    if not (port.isascii() and port.isdecimal() and len(port) <= 5 and least <= int(port) <= _MAX_PORT):
+        return f"endpoint {endpoint!r} has port {port!r}, but it must be {least} to {_MAX_PORT}, such as {link}/{host}:7447"
+    return None
 
 
 def host_and_port(endpoint: str) -> tuple[str, int] | None:

@@ -13,7 +13,7 @@ from gateway.commands.outcome import DONE, FAILED, complain, progress
 from gateway.errors import JournalUnfitError
 from gateway.journal_export.rows import COLUMNS, Kind, Selection, read_rows
 from gateway.journal_export.tables import write_csv, write_parquet
-from gateway.journal_file import check_journal, describe_journal, expect_journal
+from gateway.journal_file import AFTER_DAMAGE, check_journal, describe_journal, expect_journal
 
 _ALL = "all"
 
@@ -21,7 +21,7 @@ _ALL = "all"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the actions of ``journal`` and their flags."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    check = actions.add_parser("check", help="read all of it; exit status 1 and the first fault where it is damaged")
+    check = actions.add_parser("check", help="read all of it; exit status 1 and its faults where it is damaged")
     info = actions.add_parser("info", help="print what is in it, as JSON")
     export = actions.add_parser("export", help="write it as a table; a void encounter is a part of another one and left out")
     for action in (check, info, export):
@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     export.add_argument("--from", dest="begin", type=_instant, metavar="T", help="what ends at or after T, such as 2026-11-26T09:00Z")
     export.add_argument("--until", type=_instant, metavar="T", help="what begins before T")
+    export.add_argument("--skip-damaged", action="store_true", help="export what is whole, and say what was left out")
     export.add_argument("--all-revisions", action="store_true", help="every revision of a record, void ones too, not the newest alone")
 
 
@@ -51,26 +52,36 @@ def journal(options: argparse.Namespace) -> int:
                 return DONE
             return _export(options, tell)
     except sqlite3.Error as error:
-        raise JournalUnfitError(path=str(path), reason=f"cannot be read: {error}", advice="see `biobot-gateway journal check`") from error
+        see = "" if options.action == "check" else "see `biobot-gateway journal check`; "
+        raise JournalUnfitError(path=str(path), reason=f"cannot be read: {error}", advice=see + AFTER_DAMAGE) from error
 
 
 def _check(path: Path, tell: Callable[[str], None]) -> int:
     findings = check_journal(path, tell=tell)
     print(f"{findings.n_segments} segments, {findings.n_records} records, {findings.n_reports} reports")
-    return DONE if findings.fault is None else complain(f"journal {path}: {findings.fault}", status=FAILED)
+    if not findings.n_faults:
+        return DONE
+    complain(*(f"journal {path}: {fault}" for fault in findings.faults))
+    more = f" ({findings.n_faults - len(findings.faults)} more are not shown)" if findings.n_faults > len(findings.faults) else ""
+    faults = "1 fault" if findings.n_faults == 1 else f"{findings.n_faults} faults"
+    return complain(f"journal {path}: {faults}{more}; {AFTER_DAMAGE}", status=FAILED)
 
 
 def _export(options: argparse.Namespace, tell: Callable[[str], None]) -> int:
     if options.begin is not None and options.until is not None and options.until <= options.begin:
         raise ConfigurationError(["journal export: --until is not after --from; nothing would be left"])
     out: Path = options.csv or options.parquet
+    left_out: dict[str, None] = {}  # a set that keeps the order
     write = write_csv if options.csv is not None else write_parquet
     kinds = list(Kind) if options.kind == _ALL else [Kind(options.kind)]
+    hear = left_out.setdefault if options.skip_damaged else None
     for kind in kinds:
         selection = Selection(kind=kind, from_wall_ns=options.begin, until_wall_ns=options.until, has_all_revisions=options.all_revisions)
         target = out if len(kinds) == 1 else out.with_name(f"{out.stem}.{kind.value}{out.suffix}")
-        n_rows = write(target, COLUMNS[kind], read_rows(options.file, selection, tell=tell))
+        n_rows = write(target, COLUMNS[kind], read_rows(options.file, selection, tell=tell, left_out=hear))
         complain(f"{target}: {n_rows} rows")
+    if left_out:
+        complain(*(f"left out: {part}" for part in left_out), f"{len(left_out)} damaged parts of {options.file} were left out")
     return DONE
 
 

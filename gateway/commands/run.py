@@ -63,7 +63,7 @@ def check_alone(options: argparse.Namespace) -> int:
     """Print the configuration without a command, or say that a command is missing."""
     if not options.check_config:
         raise ConfigurationError(["no command: give run, list-ports, probe or another; biobot-gateway --help lists all"])
-    config = load_gateway_config(toml_path=options.config, environment=os.environ, needs_radio=False)
+    config = load_gateway_config(toml_path=options.config, environment=os.environ, needs_radio=False, tries_places=True)
     print(json.dumps(msgspec.to_builtins(config), indent=2))
     return DONE
 
@@ -91,6 +91,7 @@ def run(options: argparse.Namespace) -> int:
             "mission.exploration_s": options.exploration_s,
         },
         flag_names=_FLAG_NAMES,
+        tries_places=options.check_config,
     )
     if options.check_config:
         print(json.dumps(msgspec.to_builtins(config), indent=2))

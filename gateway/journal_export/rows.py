@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Self
 
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord, MissionRecord, ModeRecord, decode_journal_record
-from gateway.journal_file import JournalReader
+from gateway.journal_file import LeftOut, newest_offset, walk_records, walk_reports
 
 Value = int | bool | str | None
 
@@ -44,7 +44,6 @@ COLUMNS: dict[Kind, dict[str, type]] = {
 """Column names and types; wall_ns: UTC [ns since 1970]; empty: not known. A void encounter is a part of another one."""
 
 _TYPES: dict[Kind, type[JournalRecord]] = {Kind.ENCOUNTERS: EncounterRecord, Kind.MODES: ModeRecord, Kind.MISSION: MissionRecord}
-_PAGE = 2000
 _TELL_EVERY = 20_000
 
 
@@ -66,51 +65,47 @@ class Selection:
         return not is_over and (self.until_wall_ns is None or start_ns < self.until_wall_ns)
 
 
-def read_rows(path: Path, selection: Selection, *, tell: Callable[[str], None]) -> Iterator[tuple[Value, ...]]:
-    """Yield the rows, in the order of offsets or, of reports, of their coming.
+def read_rows(
+    path: Path, selection: Selection, *, tell: Callable[[str], None], left_out: LeftOut | None = None
+) -> Iterator[tuple[Value, ...]]:
+    """Yield the rows, in the order of offsets or, of reports, of their coming; ``left_out`` hears of what is damaged, maybe twice.
 
     Raises
     ------
     sqlite3.Error
-        The journal cannot be read.
+        The journal cannot be read, or a part of it is damaged and there is no ``left_out``.
     """
-    reader = JournalReader(path)
-    try:
-        if selection.kind is Kind.REPORTS:
-            for report in reader.read_reports():
-                if selection.overlaps(report.received_wall_ns, report.received_wall_ns):
-                    head = (report.node, report.boot, report.number, report.received_wall_ns, report.radio, report.address)
-                    yield (*head, report.rssi_dbm, report.lqi, report.payload.hex())
-            return
-        head_offset = reader.read_page(from_offset=1, limit=1).head_offset
-        with _Newest() as newest:
-            if not selection.has_all_revisions:
-                for record in _records(
-                    reader, selection, head_offset=head_offset, tell=lambda done: tell(f"looking for revisions: {done}")
-                ):
-                    newest.note(record)
-            for record in _records(reader, selection, head_offset=head_offset, tell=tell):
-                is_wanted = selection.has_all_revisions or (newest.is_newest(record) and not _is_void(record))
-                if is_wanted and selection.overlaps(*_span(record)):
-                    yield _row(record)
-    finally:
-        reader.close()
+    if selection.kind is Kind.REPORTS:
+        yield from _report_rows(path, selection, left_out)
+        return
+    until = newest_offset(path)
+
+    def records(tell: Callable[[str], None]) -> Iterator[JournalRecord]:
+        told_at = 0
+        for segment in walk_records(path, until=until, left_out=left_out):
+            for _, body in segment:
+                record = decode_journal_record(body)
+                if isinstance(record, _TYPES[selection.kind]):
+                    yield record
+            if segment and segment[-1][0] - told_at >= _TELL_EVERY:
+                told_at = segment[-1][0]
+                tell(f"{100 * told_at // until} % of {until} records")
+
+    with _Newest() as newest:
+        if not selection.has_all_revisions:
+            for record in records(lambda done: tell(f"looking for revisions: {done}")):
+                newest.note(record)
+        for record in records(tell):
+            is_wanted = selection.has_all_revisions or (newest.is_newest(record) and not _is_void(record))
+            if is_wanted and selection.overlaps(*_span(record)):
+                yield _row(record)
 
 
-def _records(reader: JournalReader, selection: Selection, *, head_offset: int, tell: Callable[[str], None]) -> Iterator[JournalRecord]:
-    wanted, at, told_at = _TYPES[selection.kind], 1, 0
-    while at <= head_offset:
-        page = reader.read_page(from_offset=at, limit=min(_PAGE, head_offset - at + 1))
-        if not page.bodies:
-            return
-        for body in page.bodies:
-            record = decode_journal_record(body)
-            if isinstance(record, wanted):
-                yield record
-        at = page.first_offset + len(page.bodies)
-        if at - told_at >= _TELL_EVERY:
-            told_at = at
-            tell(f"{100 * at // max(1, head_offset)} % of {head_offset} records")
+def _report_rows(path: Path, selection: Selection, left_out: LeftOut | None) -> Iterator[tuple[Value, ...]]:
+    for report in walk_reports(path, left_out=left_out):
+        if selection.overlaps(report.received_wall_ns, report.received_wall_ns):
+            head = (report.node, report.boot, report.number, report.received_wall_ns, report.radio, report.address)
+            yield (*head, report.rssi_dbm, report.lqi, report.payload.hex())
 
 
 class _Newest:

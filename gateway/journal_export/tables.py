@@ -63,6 +63,9 @@ def write_parquet(path: Path, columns: Mapping[str, type], rows: Iterable[tuple[
 def _whole(path: Path) -> Iterator[Path]:
     """Yield where to write; what was written there comes to ``path`` in one step if all went well, else it is gone."""
     partial = path.with_name(f".{path.name}.partial")
+    if not path.parent.is_dir():
+        reason = f"cannot be written: there is no directory {path.parent}; make it, or name another file"
+        raise ExportError(path=str(path), reason=reason)
     try:
         yield partial
         with partial.open("rb") as written:

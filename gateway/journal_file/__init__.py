@@ -1,14 +1,17 @@
 """The journal's file: segments of records and reports in SQLite, written by one gateway and read by anybody (docs/journal.md)."""
 
-from gateway.journal_file.description import describe_journal, expect_journal
+from gateway.journal_file.description import describe_journal, expect_fit_to_open, expect_journal
 from gateway.journal_file.file import SESSIONS_PER_START, JournalFile, open_journal_file
 from gateway.journal_file.integrity import check_journal
 from gateway.journal_file.reader import JournalReader, RecordPage
+from gateway.journal_file.schema import AFTER_DAMAGE
 from gateway.journal_file.segments import SegmentBuilder
 from gateway.journal_file.upkeep import Retention, Upkeep
+from gateway.journal_file.walk import LeftOut, newest_offset, walk_records, walk_reports
 from gateway.journal_file.writes import AuditEntry, Committed, JournalIdentity, JournalWrite, UplinkReport
 
 __all__ = [
+    "AFTER_DAMAGE",
     "SESSIONS_PER_START",
     "AuditEntry",
     "Committed",
@@ -16,6 +19,7 @@ __all__ = [
     "JournalIdentity",
     "JournalReader",
     "JournalWrite",
+    "LeftOut",
     "RecordPage",
     "Retention",
     "SegmentBuilder",
@@ -23,6 +27,10 @@ __all__ = [
     "UplinkReport",
     "check_journal",
     "describe_journal",
+    "expect_fit_to_open",
     "expect_journal",
+    "newest_offset",
     "open_journal_file",
+    "walk_records",
+    "walk_reports",
 ]

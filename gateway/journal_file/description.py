@@ -6,11 +6,14 @@ from pathlib import Path
 
 from firmware_protocol.units import NS_PER_S
 from gateway.errors import JournalUnfitError
+from gateway.journal_file.owner import expect_owner
 from gateway.journal_file.schema import SCHEMA_VERSION, head_offset, oldest_offset, schema_version_of, unfit
 
 
 def expect_journal(path: Path) -> None:
     """Raise ``JournalUnfitError`` where a file is no journal of this version; it is only read."""
+    if path.is_dir():
+        raise JournalUnfitError(path=str(path), reason="is a directory", advice="name the file in it that the gateway writes (--journal)")
     if not path.is_file():
         raise JournalUnfitError(path=str(path), reason="is not there", advice="name the file that the gateway writes (--journal)")
     try:
@@ -24,6 +27,20 @@ def expect_journal(path: Path) -> None:
     if version != SCHEMA_VERSION:
         reason = "is empty" if not version else f"has schema version {version}"
         raise JournalUnfitError(path=str(path), reason=reason, advice="start a gateway with it once, which brings it up to date")
+
+
+def expect_fit_to_open(path: Path, *, gateway: str) -> None:
+    """Raise ``JournalUnfitError`` where a file could not be this gateway's journal; nothing is written, made or locked."""
+    try:
+        connection = _open(path, leaves_nothing=True)
+        try:
+            version = schema_version_of(connection, path=path)
+            if version:
+                expect_owner(connection, path=path, gateway=gateway, schema_version=version)
+        finally:
+            connection.close()
+    except sqlite3.DatabaseError as error:
+        raise unfit(path, error) from error
 
 
 def describe_journal(path: Path) -> dict[str, object]:
@@ -58,8 +75,11 @@ def describe_journal(path: Path) -> dict[str, object]:
         connection.close()
 
 
-def _open(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None, timeout=5.0)
+def _open(path: Path, *, leaves_nothing: bool = False) -> sqlite3.Connection:
+    # Even who only reads makes -wal and -shm, unless told that nobody writes; without a log beside it nobody does.
+    is_still = leaves_nothing and not path.with_name(path.name + "-wal").exists()
+    how = "mode=ro&immutable=1" if is_still else "mode=ro"
+    return sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, isolation_level=None, timeout=5.0)
 
 
 def _utc(wall_ns: int | None) -> str | None:

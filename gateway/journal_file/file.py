@@ -16,6 +16,7 @@ from typing import IO
 from firmware_protocol.units import NS_PER_S, BootId, Nanoseconds
 from gateway.errors import JournalUnfitError
 from gateway.journal_file.migration import bring_over
+from gateway.journal_file.owner import expect_owner, remember_owner
 from gateway.journal_file.schema import (
     COMMIT,
     FIRST_SCHEMA_VERSION,
@@ -97,28 +98,40 @@ class JournalFile:
 
 
 def open_journal_file(
-    path: Path, *, now_wall_ns: int, now_ns: int, machine_boot: str, wall_clock: Callable[[], int] = time.time_ns
+    path: Path,
+    *,
+    now_wall_ns: int,
+    now_ns: int,
+    machine_boot: str,
+    gateway: str | None = None,
+    wall_clock: Callable[[], int] = time.time_ns,
 ) -> JournalFile:
     """Open the journal, or make it where there is none, and begin a new boot. One of an earlier version is brought over first.
 
-    ``machine_boot`` names what the monotonic clock counts from; it is empty where that is not known.
+    ``machine_boot`` names what the monotonic clock counts from; it is empty where that is not known. ``gateway`` is the name of the gateway
+    whose journal it is, and stays; None: whichever.
 
     Raises
     ------
     JournalUnfitError
-        The file is something else, cannot be written, or is in use by another gateway.
+        The file is something else, cannot be written, is in use by another gateway, or was written by one of another name.
     """
     lock = _take_lock(path)
     try:
         connection = _connect(path)
         try:
-            if schema_version_of(connection, path=path) == FIRST_SCHEMA_VERSION:
+            version = schema_version_of(connection, path=path)
+            if gateway is not None and version:
+                expect_owner(connection, path=path, gateway=gateway, schema_version=version)
+            if version == FIRST_SCHEMA_VERSION:
                 connection.close()
                 bring_over(path)
                 connection = _connect(path)
-            if schema_version_of(connection, path=path) == 0:
+            if version == 0:
                 make_tables(connection)
             set_durable(connection)
+            if gateway is not None:
+                remember_owner(connection, gateway)
             _forget_old_lives(connection)
             identity = _begin_boot(connection, now_wall_ns=now_wall_ns, now_ns=now_ns, machine_boot=machine_boot)
             return JournalFile(connection=connection, lock=lock, identity=identity, wall_clock=wall_clock)

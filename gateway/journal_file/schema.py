@@ -68,6 +68,15 @@ END""",
 _MAX_WAL_SIZE = 16 << 20
 """Octets that the write-ahead log keeps when it begins anew."""
 
+AFTER_DAMAGE = (
+    "stop the gateway, keep a copy of the file, save what can be read with `biobot-gateway journal export --skip-damaged`, "
+    "and begin another one (--journal)"
+)
+"""What to do with a damaged journal."""
+
+_APPLICATION_ID_AT = 68
+"""Where SQLite's header has it."""
+
 _NO_SPACE_ADVICE = "free some space or choose another file with --journal"
 
 
@@ -130,8 +139,18 @@ def oldest_offset(connection: sqlite3.Connection) -> int:
 def unfit(path: Path, error: sqlite3.DatabaseError) -> JournalUnfitError:
     """Say what is wrong with a file, and what to do."""
     text = str(error)
-    if "not a database" in text or "malformed" in text:
+    if "malformed" in text or ("not a database" in text and _begins_as_journal(path)):
+        return JournalUnfitError(path=str(path), reason=f"is damaged ({text})", advice=AFTER_DAMAGE)
+    if "not a database" in text:
         return JournalUnfitError(path=str(path), reason=f"is no journal ({text})", advice="choose another file with --journal")
     if "readonly" in text or "unable to open" in text:
         return JournalUnfitError(path=str(path), reason=f"cannot be written ({text})", advice="make it writable or choose another file")
     return JournalUnfitError(path=str(path), reason=text, advice=_NO_SPACE_ADVICE)
+
+
+def _begins_as_journal(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(_APPLICATION_ID_AT + 4)[_APPLICATION_ID_AT:] == APPLICATION_ID.to_bytes(4, "big")
+    except OSError:
+        return False

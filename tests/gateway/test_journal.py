@@ -27,10 +27,12 @@ from gateway.journal_file import (
     JournalFile,
     JournalReader,
     JournalWrite,
+    SegmentBuilder,
     UplinkReport,
     open_journal_file,
 )
 from tests.gateway.fake_radio import until
+from tests.gateway.makers import an_encounter_record
 
 _CHILD = """
 import asyncio, sys
@@ -206,6 +208,27 @@ def test_a_file_that_is_no_journal_is_refused_and_left_alone(tmp_path: Path) -> 
             Journal.open(path, health=Health())
         assert str(path) in str(caught.value)
         assert before is None or path.read_bytes() == before
+
+
+def test_a_journal_stays_its_gateways_and_an_earlier_one_is_that_of_its_newest_record(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+
+    def open_as(gateway: str | None) -> None:
+        open_journal_file(path, now_wall_ns=10**18, now_ns=0, machine_boot="", gateway=gateway).close()
+
+    open_as("base1")
+    with pytest.raises(JournalUnfitError, match=r"of gateway 'base1', but this gateway is called 'base2'.*set name = \"base1\""):
+        open_as("base2")
+    open_as("base1")
+    path.unlink()
+    file = open_journal_file(path, now_wall_ns=10**18, now_ns=0, machine_boot="")
+    builder = SegmentBuilder(first_offset=1, windows=file.windows)
+    builder.add(JournalWrite(records=(an_encounter_record(sequence=1, node_a=1, node_b=2, t_start_s=0, t_end_s=1),)))
+    file.commit(builder)
+    file.close()
+    with pytest.raises(JournalUnfitError, match="of gateway 'base1'"):
+        open_as("base2")
+    open_as("base1")
 
 
 class _LosesAnAnswer(sqlite3.Connection):

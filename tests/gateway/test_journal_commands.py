@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import csv
 import json
+import os
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -89,7 +90,7 @@ def _lose_contents(database: sqlite3.Connection) -> None:
         (_lose_contents, "it has no contents"),
     ],
 )
-def test_the_first_fault_is_named_and_is_exit_1(
+def test_a_fault_is_named_with_the_next_step_and_what_is_whole_is_counted(
     journal: Path, capsys: pytest.CaptureFixture[str], harm: Callable[[sqlite3.Connection], None], word: str
 ) -> None:
     with contextlib.closing(sqlite3.connect(journal, isolation_level=None)) as database:
@@ -97,7 +98,50 @@ def test_the_first_fault_is_named_and_is_exit_1(
     assert main(["journal", "check", str(journal)]) == 1
     told = capsys.readouterr()
     assert word in told.err
-    assert told.out == "1 segments, 10 records, 10 reports\n"
+    assert "1 fault; stop the gateway" in told.err
+    assert told.out == "2 segments, 12 records, 20 reports\n"
+
+
+def test_all_faults_are_told_and_what_is_whole_is_exported_without_them(
+    journal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with contextlib.closing(sqlite3.connect(journal, isolation_level=None)) as database:
+        _cut_contents(database)
+        database.execute("DELETE FROM contents WHERE segment = 3")
+    assert main(["journal", "check", str(journal)]) == 1
+    told = capsys.readouterr().err
+    assert "segment 2 (offsets 11 to 20)" in told
+    assert "segment 3 (offsets 21 to 22)" in told
+    assert "2 faults" in told
+    out = tmp_path / "out.csv"
+    assert main(["journal", "export", str(journal), "--csv", str(out)]) == 1
+    assert main(["journal", "export", str(journal), "--csv", str(out), "--skip-damaged"]) == 0
+    assert [int(row["sequence"]) for row in _csv(out)] == list(range(10))
+    told = capsys.readouterr().err
+    assert told.count("left out: segment 2 (offsets 11 to 20)") == 1
+    assert "2 damaged parts" in told
+    assert main(["journal", "export", str(journal), "--csv", str(out), "--kind", "reports", "--skip-damaged"]) == 0
+    assert [int(row["number"]) for row in _csv(out)] == list(range(10))
+
+
+def test_offsets_that_are_missing_are_neither_passed_over_in_silence_nor_exported_twice(journal: Path, tmp_path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(journal, isolation_level=None)) as database:
+        _lose_a_segment(database)
+    out = tmp_path / "out.csv"
+    assert main(["journal", "export", str(journal), "--csv", str(out), "--kind", "modes"]) == 1
+    assert main(["journal", "export", str(journal), "--csv", str(out), "--kind", "modes", "--skip-damaged"]) == 0
+    assert [int(row["offset"]) for row in _csv(out)] == [21, 22]
+
+
+def test_a_cut_journal_is_told_as_damaged_and_a_directory_as_one(journal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with contextlib.closing(sqlite3.connect(journal)) as database:
+        database.execute("PRAGMA journal_mode = DELETE")
+    os.truncate(journal, 20_000)
+    for arguments in (["check"], ["export", "--csv", str(tmp_path / "out.csv")]):
+        assert main(["journal", arguments[0], str(journal), *arguments[1:]]) == 1
+        assert "keep a copy of the file" in capsys.readouterr().err
+    assert main(["journal", "check", str(tmp_path)]) == 1
+    assert "is a directory" in capsys.readouterr().err
 
 
 def test_pages_overwritten_on_the_disk_are_found(journal: Path) -> None:
@@ -165,7 +209,7 @@ def test_an_export_that_fails_leaves_what_was_there(journal: Path, tmp_path: Pat
     assert out.read_text() == "before"
     assert not [one.name for one in tmp_path.iterdir() if "partial" in one.name]
     assert main(["journal", "export", str(journal), "--csv", str(tmp_path / "no" / "out.csv")]) == 1
-    assert "cannot be written" in capsys.readouterr().err
+    assert f"there is no directory {tmp_path / 'no'}" in capsys.readouterr().err
 
 
 def test_a_journal_is_exported_while_a_gateway_writes_it(tmp_path: Path) -> None:
