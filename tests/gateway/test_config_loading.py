@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from firmware_protocol.errors import ConfigurationError
+from gateway.__main__ import main
 from gateway.config_loading import load_gateway_config, read_address
 from gateway.journal_file import open_journal_file
 
@@ -124,3 +125,13 @@ def test_the_journal_that_is_there_is_tried_and_nothing_is_left_of_that(tmp_path
     assert {one.name for one in tmp_path.iterdir()} == before
     path.write_text("a diary")
     assert "is no journal" in problems("base1")[0]
+
+
+def test_a_gateway_of_another_name_does_not_start_with_the_journal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "j.sqlite"
+    open_journal_file(path, now_wall_ns=10**18, now_ns=0, machine_boot="", gateway="base1").close()
+    arguments = ["run", "--port", "tcp:127.0.0.1:1", "--journal", str(path), "--name", "base2", "--listen", "tcp/127.0.0.1:0"]
+    assert main(arguments) == 1
+    assert "is of gateway 'base1', but this gateway is called 'base2'" in capsys.readouterr().err
+    assert main([*arguments, "--check-config"]) == 2
+    assert 'set name = "base1"' in capsys.readouterr().err
