@@ -35,6 +35,9 @@ _ASSUMED_MARGIN_NS = 100 * NS_PER_MS
 _MAX_EXCESS = 20_000
 """Of too many encounters so many are looked at in one go: about two milliseconds."""
 
+_N_VOIDED = 1_000
+"""More than are voided between two commits."""
+
 _Pair = tuple[NodeId, NodeId]
 
 
@@ -62,6 +65,9 @@ class EncounterMerger:
     """Of each pair, in the order of their covers, which do not overlap."""
     _order: deque[tuple[_Pair, Meeting]] = field(default_factory=deque)
     """All of them in the order in which they were told of, and those that became a part of another one since."""
+
+    _voided: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_N_VOIDED))
+    """Which records were voided last: the journal may not say so yet when they are looked for there."""
 
     def merge(self, report: SideReport) -> list[EncounterRecord]:
         """Take a report; return the records it brings about, none where it says nothing new.
@@ -106,7 +112,7 @@ class EncounterMerger:
         """
         newest = {(record.boot, record.sequence): record for record in records}
         for record in newest.values():
-            if record.is_void or not record.sides:
+            if record.is_void or not record.sides or (record.boot, record.sequence) in self._voided:
                 continue
             meetings = self._meetings.setdefault((record.node_a, record.node_b), [])
             meeting = meeting_of_record(record, issuer=self.issuer, margin_ns=margin(record), period_ns=period(record))
@@ -166,6 +172,7 @@ class EncounterMerger:
         kept, *voided = sorted(meetings[begin:end], key=_identity)
         for meeting in voided:
             kept.absorb(meeting)
+            self._voided.append(meeting.identity)
         kept.take(report)
         meetings[begin:end] = [kept]
         records = []
