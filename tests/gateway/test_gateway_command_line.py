@@ -204,7 +204,7 @@ def test_the_status_of_a_gateway_that_is_not_there_fails_and_says_what_to_look_a
     result = _in_process("status", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path)
 
     assert result.returncode == 1
-    assert "--connect" in result.stderr
+    assert "nobody listens there; is the router running, and the port right?" in result.stderr
     assert "Traceback" not in result.stderr
 
 
