@@ -180,13 +180,12 @@ class Intake:
             self._health.count("message.repeated")
             return self._tell_again(name)
         self._health.count(_COUNTERS[kind])
-        tell: Callable[[IntakeListeners], None] | None = None
         records: tuple[JournalRecord, ...] = ()
-        failure: Exception | None = None
+        tell, failure = None, None
         try:
-            if entries is not None:
-                records = tuple(self._reports.take(entries, node=node, sent_ms=sent_ms, clock=clock))
-            elif uplink is not None:
+            if uplink is None:
+                records = tuple(self._reports.take(entries or (), node=node, sent_ms=sent_ms, clock=clock))
+            else:
                 header = UplinkHeader(node=name, boot=boot, sequence=sequence, sent_ms=sent_ms)
                 records, tell = self._digest(uplink, header=header, node=node, clock=clock, number=number)
                 is_changed |= bool(records) or (isinstance(uplink, Hello | Limits) and boot == node.boot)
@@ -205,16 +204,18 @@ class Intake:
             lqi=message.lqi,
             payload=message.payload,
         )
-        memory = None
-        if is_changed or name in self._clock_news:
-            self._clock_news.discard(name)
-            kept = clock.memory(anchor_ns=self._issuer.wall_anchor_ns) if boot == node.boot else None
-            memory = (name, msgspec.msgpack.encode(node.memory(clock=kept)))
+        memory = self._memory(node, boot=boot, clock=clock) if is_changed or name in self._clock_news else None
         done = self._journal.join(JournalWrite(records=records, report=report, node=memory))
         self._await(done, _Taken(life=life, number=number, node=name, tell=tell))
         if failure is not None:
             raise failure
         return done
+
+    def _memory(self, node: Node, *, boot: BootId, clock: NodeClock) -> tuple[NodeId, bytes]:
+        """Return what the journal is to keep of a biobot; ``clock`` is of ``boot``."""
+        self._clock_news.discard(node.node)
+        kept = clock.memory(anchor_ns=self._issuer.wall_anchor_ns) if boot == node.boot else None
+        return node.node, msgspec.msgpack.encode(node.memory(clock=kept))
 
     def forget_old(self, *, now_ns: int) -> None:
         """Drop encounters older than the window from memory; the journal knows them. To be called now and then."""
