@@ -10,7 +10,7 @@ import zenoh
 
 from firmware_protocol.contract.handshakes import CertificateFacts
 from firmware_protocol.contract.sessions import CLIENT, ROUTER, TlsTable, ZenohTable, session_settings
-from gateway.connecting import diagnose_all
+from gateway.connecting import diagnose_all, why_not_listening
 from gateway.errors import BusError
 from gateway.health import Health
 from gateway.log import EventLog
@@ -48,7 +48,9 @@ def open_service(
     try:
         return zenoh.open(_config_of(settings))
     except zenoh.ZError as error:
-        raise BusError(f"Zenoh cannot listen on {list(listen)} and connect to {list(connect)}: {first_sentence(error)}") from error
+        reasons = "; ".join(f"{endpoint}: {reason}" for endpoint in listen if (reason := why_not_listening(endpoint)))
+        where = f"listen on {', '.join(listen) or 'nothing'} and connect to {', '.join(connect) or 'nobody'}"
+        raise BusError(f"cannot listen on {reasons}" if reasons else f"Zenoh cannot {where}: {first_sentence(error)}") from error
 
 
 def open_client(*, connect: Sequence[str], tls: TlsTable, timing: ZenohTable | None = None) -> zenoh.Session:
@@ -66,7 +68,7 @@ def open_client(*, connect: Sequence[str], tls: TlsTable, timing: ZenohTable | N
         return zenoh.open(_config_of(settings))
     except zenoh.ZError as error:
         reasons = "; ".join(f"{endpoint}: {reason}" for endpoint, reason in diagnose_all(connect, tls).items())
-        raise BusError(f"cannot connect: {reasons or first_sentence(error)}; is --connect the endpoint of a router or gateway?") from error
+        raise BusError(f"cannot connect: {reasons or first_sentence(error)}") from error
 
 
 def first_sentence(error: zenoh.ZError) -> str:

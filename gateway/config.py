@@ -232,7 +232,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     site, name
         Where the gateway stands and what it is called, in every key expression on Zenoh.
     ports
-        The radios: ``serial:/dev/ttyACM0?baud=115200``, ``tcp:HOST:PORT``.
+        The radios: ``serial:/dev/ttyACM0?baud=115200``, ``tcp:HOST:PORT``. `biobot-gateway run` needs one at least.
     journal
         The journal's file; made when it is not there.
     listen, connect
@@ -254,7 +254,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
     connect: tuple[str, ...] = ()
     roster: str | None = None
-    log_level: Annotated[str, msgspec.Meta(pattern="^(DEBUG|INFO|WARNING|ERROR)$")] = "INFO"
+    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
     log_format: Literal["auto", "text", "json"] = "auto"
     link: LinkTable = LinkTable()
     encounters: EncounterTable = EncounterTable()

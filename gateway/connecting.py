@@ -1,5 +1,6 @@
 """Why nobody is connected: each endpoint is tried once by hand, because Zenoh tells only that it could not connect."""
 
+import errno
 import socket
 import ssl
 import time
@@ -42,6 +43,29 @@ def diagnose(endpoint: str, tls: TlsTable) -> str:
 def diagnose_all(endpoints: Sequence[str], tls: TlsTable) -> dict[str, str]:
     """Return the reason for each endpoint."""
     return {endpoint: diagnose(endpoint, tls) for endpoint in endpoints}
+
+
+def why_not_listening(endpoint: str) -> str | None:
+    """Return why an endpoint that Zenoh could not listen on cannot be, or None where that is not plain."""
+    address = host_and_port(endpoint)
+    if address is None:
+        return endpoint_problem(endpoint, listens=True)
+    host, port = address
+    try:
+        family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        with socket.socket(family, kind, protocol) as line:
+            line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as Zenoh does: a port that was just left is free
+            line.bind(place)
+            line.listen(1)
+    except socket.gaierror:
+        return no_such_host(host)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            return "another program has that port; is a gateway or router running already? Stop it, or give another --listen"
+        if error.errno == errno.EADDRNOTAVAIL:
+            return f"{host} is no address of this machine; give one of its own, or 0.0.0.0 for all"
+        return f"{(error.strerror or str(error)).lower()}; give another --listen"
+    return None
 
 
 def _shake_hands(line: socket.socket, *, host: str, tls: TlsTable) -> str:

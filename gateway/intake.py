@@ -9,6 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeAlias
 
 import msgspec
 
@@ -79,6 +80,10 @@ class _Taken(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     number: int
     node: NodeId
     tell: Callable[[IntakeListeners], None] | None
+
+
+_Made: TypeAlias = tuple[tuple[JournalRecord, ...], Callable[[IntakeListeners], None] | None]
+"""The records that a message brings about, and whom to tell of it after the commit."""
 
 
 class Intake:
@@ -180,17 +185,17 @@ class Intake:
             self._health.count("message.repeated")
             return self._tell_again(name)
         self._health.count(_COUNTERS[kind])
-        records: tuple[JournalRecord, ...] = ()
-        tell, failure = None, None
+        made: _Made | Exception
         try:
             if uplink is None:
-                records = tuple(self._reports.take(entries or (), node=node, sent_ms=sent_ms, clock=clock))
+                made = tuple(self._reports.take(entries or (), node=node, sent_ms=sent_ms, clock=clock)), None
             else:
                 header = UplinkHeader(node=name, boot=boot, sequence=sequence, sent_ms=sent_ms)
-                records, tell = self._digest(uplink, header=header, node=node, clock=clock, number=number)
-                is_changed |= bool(records) or (isinstance(uplink, Hello | Limits) and boot == node.boot)
+                made = self._digest(uplink, header=header, node=node, clock=clock, number=number)
         except Exception as error:  # noqa: BLE001  # raised again once the journal has the message
-            failure = error
+            made = error
+        records, tell = ((), None) if isinstance(made, Exception) else made
+        is_changed |= uplink is not None and _changes_memory(uplink, records, is_of_now=boot == node.boot)
         life.received.add(number)
         report = UplinkReport(
             node=name,
@@ -204,17 +209,17 @@ class Intake:
             lqi=message.lqi,
             payload=message.payload,
         )
-        memory = self._memory(node, boot=boot, clock=clock) if is_changed or name in self._clock_news else None
+        memory = self._memory_of(node, clock, is_of_now=boot == node.boot) if is_changed or name in self._clock_news else None
         done = self._journal.join(JournalWrite(records=records, report=report, node=memory))
         self._await(done, _Taken(life=life, number=number, node=name, tell=tell))
-        if failure is not None:
-            raise failure
+        if isinstance(made, Exception):
+            raise made
         return done
 
-    def _memory(self, node: Node, *, boot: BootId, clock: NodeClock) -> tuple[NodeId, bytes]:
-        """Return what the journal is to keep of a biobot; ``clock`` is of ``boot``."""
+    def _memory_of(self, node: Node, clock: NodeClock, *, is_of_now: bool) -> tuple[NodeId, bytes]:
+        """Return what is to be kept of a biobot over a restart, its clock too."""
         self._clock_news.discard(node.node)
-        kept = clock.memory(anchor_ns=self._issuer.wall_anchor_ns) if boot == node.boot else None
+        kept = clock.memory(anchor_ns=self._issuer.wall_anchor_ns) if is_of_now else None
         return node.node, msgspec.msgpack.encode(node.memory(clock=kept))
 
     def forget_old(self, *, now_ns: int) -> None:
@@ -377,3 +382,8 @@ class Intake:
             cause=cause,
             is_from_reply=is_reply,
         )
+
+
+def _changes_memory(uplink: Uplink, records: tuple[JournalRecord, ...], *, is_of_now: bool) -> bool:
+    """Whether what is kept of a biobot over a restart is other after a message."""
+    return bool(records) or (isinstance(uplink, Hello | Limits) and is_of_now)

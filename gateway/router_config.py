@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Literal
 
 import msgspec
 
 from firmware_protocol.configuration import load_configuration
 from firmware_protocol.contract.access import Role
-from firmware_protocol.contract.sessions import TlsTable, ZenohTable, tls_problems
+from firmware_protocol.contract.sessions import TlsTable, ZenohTable, endpoint_problem, tls_problems
 from firmware_protocol.errors import ConfigurationError
 from gateway.tls_files import check_tls_files, read_roster
 
@@ -34,7 +34,7 @@ class RouterConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
     connect: tuple[str, ...] = ()
     roster: str | None = None
-    log_level: Annotated[str, msgspec.Meta(pattern="^(DEBUG|INFO|WARNING|ERROR)$")] = "INFO"
+    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
     tls: TlsTable = TlsTable()
     zenoh: ZenohTable = ZenohTable()
 
@@ -61,7 +61,13 @@ def load_router_config(*, toml_path: Path | None, environment: Mapping[str, str]
         environment_prefix=ENVIRONMENT_PREFIX,
         flags=flags,
     )
-    problems = [*tls_problems(config.tls, listen=config.listen, connect=config.connect)]
+    problems = [
+        f"{key}: {reason}"
+        for key, endpoints in (("listen", config.listen), ("connect", config.connect))
+        for endpoint in endpoints
+        if (reason := endpoint_problem(endpoint, listens=key == "listen"))
+    ]
+    problems += [*tls_problems(config.tls, listen=config.listen, connect=config.connect)]
     problems += check_tls_files(config.tls, roles=(Role.ROUTER,)).problems
     if not config.listen:
         problems.append("listen is empty: nobody could connect; give an endpoint such as tls/0.0.0.0:7447")

@@ -37,9 +37,7 @@ def draw(
     line = Text(f"site {_plain(site)} on {', '.join(map(_plain, connect))}, {time.strftime('%H:%M:%S')}", style="dim")
     parts: list[RenderableType] = [line]
     if not gateways:
-        what = "connected, but no gateway of this site is heard" if is_connected else "nobody answers there"
-        what += f" ({_plain(why_alone)})" if why_alone and not is_connected else ""
-        parts.append(Text(f"{what}, for {_span(waited_s)}: is the gateway running, and are --site and --connect its own?", style="yellow"))
+        parts.append(Text(_why_no_gateway(is_connected=is_connected, why_alone=why_alone, waited_s=waited_s), style="yellow"))
     parts += [_draw_gateway(one, now_s=now_s) for one in gateways]
     if gateways and not is_connected:
         reason = f" ({_plain(why_alone)})" if why_alone else ""
@@ -48,6 +46,15 @@ def draw(
         parts.append(Text("events", style="dim"))
         parts += [_draw_event(event) for event in list(view.events)[-_EVENTS_SHOWN:]]
     return Group(*parts)
+
+
+def _why_no_gateway(*, is_connected: bool, why_alone: str | None, waited_s: float) -> str:
+    if is_connected:
+        question = "is it running, is --site its own, and is it on the router's roster?"
+        return f"connected, but no gateway of this site is heard, for {_span(waited_s)}: {question}"
+    if why_alone:
+        return f"not connected, for {_span(waited_s)}: {_plain(why_alone)}"
+    return f"nobody answers there, for {_span(waited_s)}: is the gateway running, and is --connect its own?"
 
 
 def _draw_gateway(view: GatewayView, *, now_s: float) -> RenderableType:

@@ -18,6 +18,21 @@ _ANSI: Final = re.compile(r"\x1b\[[0-9;]*m")
 _LINE: Final = re.compile(r"\S+\s+(?P<level>WARN|ERROR)\s+.*?(?P<target>zenoh[\w:]*):\s+(?P<text>.*)\Z")
 _NUMBERS: Final = re.compile(r"[0-9a-f]{16,}|\d+")
 _HINT: Final = re.compile(r"\. Hint: increase the system open file limit\.?")  # Zenoh's guess at any failed accept
+_PLAIN_WORDS: Final = {
+    "peer sent no certificates": "somebody who connects shows no certificate; give them tls.certificate and tls.key",
+    "received fatal alert: CertificateRequired": "the other router wants a certificate; give tls.certificate and tls.key",
+    "invalid peer certificate: Expired": "somebody who connects shows a certificate that is out of date; renew it, and compare both clocks",
+    "invalid peer certificate: NotValidYet": "somebody who connects shows a certificate that is not valid yet; compare both clocks",
+    "invalid peer certificate": "somebody who connects shows a certificate of another authority; issue theirs with the one of tls.ca",
+    "received fatal alert: CertificateExpired": "somebody who connects finds our certificate out of date; renew it, compare both clocks",
+    "received fatal alert: BadCertificate": "somebody who connects refuses our certificate: it is not for the address they use "
+    "(`certs issue --host`), or not of the authority of their tls.ca",
+    "received fatal alert": "somebody who connects refuses our certificate: it is of another authority than their tls.ca",
+    "InvalidContentType": "somebody who connects speaks no TLS; their endpoint should begin with tls/",
+    "handshake eof": "somebody who connects hung up before TLS was agreed on: a port scan, one that speaks no TLS, or one that gave up",
+}
+"""What Zenoh says of handshakes, measured with eclipse-zenoh 1.10; the first that fits counts. It does not tell whose they were."""
+
 _MAX_TEXT: Final = 500
 _MAX_KNOWN: Final = 256
 _QUIET_S: Final = 60.0
@@ -48,6 +63,12 @@ def parse_line(line: str) -> tuple[str, str] | None:
     return match["level"], _HINT.sub("", match["text"]).split(" at /", maxsplit=1)[0][:_MAX_TEXT]
 
 
+def put_plainly(text: str) -> str:
+    """Return what Zenoh says of a refused handshake in words that name the next step, its own in brackets; all else as it is."""
+    plain = next((words for sign, words in _PLAIN_WORDS.items() if sign in text), None)
+    return text if plain is None else f"{plain} [{text}]"
+
+
 def capture_zenoh_log() -> None:
     """Read what this process writes to standard output from now on as Zenoh's log, and tell what is new in it."""
     read_end, write_end = os.pipe()
@@ -66,4 +87,4 @@ def _read(descriptor: int) -> None:
             parsed = parse_line(line)
             if parsed is not None and said.is_new(parsed[1], now_s=time.monotonic()):
                 say = _log.error if parsed[0] == "ERROR" else _log.warning
-                say("zenoh", reason=parsed[1])
+                say("zenoh", reason=put_plainly(parsed[1]))

@@ -23,9 +23,9 @@ ENDPOINT = "tcp/127.0.0.1:7447"
 _COMMANDERS = (Role.OPERATOR, Role.MAPPER)
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+def add_bus_arguments(parser: argparse.ArgumentParser, *, gateway_help: str) -> None:
     """Add the flags of ``status``, which those of ``command`` begin with."""
-    parser.add_argument("--gateway", help="its name; needed where a site has several")
+    parser.add_argument("--gateway", metavar="NAME", help=gateway_help)
     parser.add_argument("--site", help="name of the site (default: local)")
     parser.add_argument("--connect", action="append", metavar="EP", help=f"Zenoh endpoint (default: {ENDPOINT})")
     # SUPPRESS: what was given before the command stays when it is not given again after it.
@@ -40,7 +40,7 @@ def add_command_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``command``."""
     parser.add_argument("node", type=int, metavar="NODE", help="number of the biobot")
     parser.add_argument("action", choices=[action.value for action in StimulationAction])
-    add_bus_arguments(parser)
+    add_bus_arguments(parser, gateway_help="its name; needed where a site has several")
     parser.add_argument("--operator", default=os.environ.get("USER") or "operator", help="who commands; it is journaled")
     parser.add_argument("--hold-ms", type=int, default=0, metavar="MS", help="controlled motion ends by itself after this; 0: never")
     parser.add_argument("--ttl-ms", type=int, default=5000, metavar="MS", help="the command is void after this (default: 5000)")

@@ -17,7 +17,7 @@ _VIEWERS = (Role.OPERATOR, Role.MAPPER, Role.VIEWER)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``status``."""
-    add_bus_arguments(parser)
+    add_bus_arguments(parser, gateway_help="show this one alone (default: all of the site; with --json the first that speaks)")
     parser.add_argument("--once", action="store_true", help="draw it once, and leave; exit status 1 where no gateway is heard")
     parser.add_argument("--json", action="store_true", help="print the next status of a gateway as JSON, as without a terminal")
 
@@ -37,7 +37,10 @@ def _print_json(way: GatewayConfig, *, gateway: str | None) -> int:
 
     found = read_status(site=way.site, gateway=gateway, connect=way.connect, tls=way.tls, timing=way.zenoh, timeout_s=_TIMEOUT_S)
     if found is None:
-        complain(f"no gateway has told its status within {_TIMEOUT_S:g} s; is it running, and are --site and --connect its own?")
+        who = f"gateway {gateway!r}" if gateway else "no gateway"
+        verb = "has not" if gateway else "has"
+        question = "is it running, and on the router's roster?"
+        complain(f"connected, but {who} of site {way.site!r} {verb} told its status within {_TIMEOUT_S:g} s: {question}")
         return FAILED
     print(json.dumps(msgspec.to_builtins(found), indent=2))
     return DONE

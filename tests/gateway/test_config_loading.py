@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 from firmware_protocol.errors import ConfigurationError
+from gateway.__main__ import main
 from gateway.config_loading import load_gateway_config, read_address
+from gateway.journal_file import open_journal_file
 
 
 def problems_of(tmp_path: Path, toml: str, **environment: str) -> list[str]:
@@ -78,3 +80,58 @@ def test_addresses_are_read(text: str, address: tuple[str, int]) -> None:
 def test_what_is_no_address_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="is no HOST:PORT"):
         read_address(text)
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ('connect = ["tcp/base.local:0"]', "connect: endpoint 'tcp/base.local:0' has port '0', but it must be 1 to 65535"),
+        ('listen = ["tcp/127.0.0.1:70000"]', "has port '70000', but it must be 0 to 65535"),
+        ('connect = ["tcp/foo"]', "names no host and port; give tcp/HOST:PORT"),
+        ('log_level = "LOUD"', "wanted DEBUG or INFO or WARNING or ERROR"),
+    ],
+)
+def test_endpoints_need_host_and_port_and_names_are_told_their_choices(tmp_path: Path, line: str, told: str) -> None:
+    (problem,) = problems_of(tmp_path, f'ports = ["tcp:127.0.0.1:1"]\n{line}\n')
+    assert told in problem
+
+
+def test_a_variable_of_a_number_is_told_that_a_number_is_wanted_and_one_of_a_list_is_split() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        load_gateway_config(environment={"BIOBOT_GATEWAY__LINK__OPEN_TIMEOUT_S": "abc", "BIOBOT_GATEWAY__PORTS": "tcp:127.0.0.1:1"})
+    (problem,) = caught.value.problems
+    assert "float" in problem
+    assert "array" not in problem
+    environment = {"BIOBOT_GATEWAY__PORTS": "tcp:127.0.0.1:1, tcp:127.0.0.1:2"}
+    assert load_gateway_config(environment=environment).ports == ("tcp:127.0.0.1:1", "tcp:127.0.0.1:2")
+
+
+def test_the_journal_that_is_there_is_tried_and_nothing_is_left_of_that(tmp_path: Path) -> None:
+    path = tmp_path / "j.sqlite"
+    open_journal_file(path, now_wall_ns=10**18, now_ns=0, machine_boot="", gateway="base1").close()
+    before = {one.name for one in tmp_path.iterdir()}
+
+    def problems(name: str) -> list[str]:
+        flags = {"journal": str(path), "name": name, "ports": ["tcp:127.0.0.1:1"]}
+        try:
+            load_gateway_config(flags=flags, tries_places=True)
+        except ConfigurationError as error:
+            return list(error.problems)
+        return []
+
+    assert problems("base1") == []
+    (problem,) = problems("base2")
+    assert 'set name = "base1", or name another journal' in problem
+    assert {one.name for one in tmp_path.iterdir()} == before
+    path.write_text("a diary")
+    assert "is no journal" in problems("base1")[0]
+
+
+def test_a_gateway_of_another_name_does_not_start_with_the_journal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "j.sqlite"
+    open_journal_file(path, now_wall_ns=10**18, now_ns=0, machine_boot="", gateway="base1").close()
+    arguments = ["run", "--port", "tcp:127.0.0.1:1", "--journal", str(path), "--name", "base2", "--listen", "tcp/127.0.0.1:0"]
+    assert main(arguments) == 1
+    assert "is of gateway 'base1', but this gateway is called 'base2'" in capsys.readouterr().err
+    assert main([*arguments, "--check-config"]) == 2
+    assert 'set name = "base1"' in capsys.readouterr().err

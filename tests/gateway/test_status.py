@@ -169,7 +169,7 @@ def test_on_a_terminal_gateways_come_and_go_live_and_the_terminal_is_left_as_it_
     async def live() -> None:
         config = a_config(tmp_path, "serial:/dev/not-there")
         terminal = Terminal("--site", "test", "--connect", config.listen[0])
-        await terminal.until("nobody answers there (")
+        await terminal.until("not connected, for ")
         await terminal.until("nobody listens there")
         async with running(config):
             await terminal.until("base1")

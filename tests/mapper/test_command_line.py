@@ -420,3 +420,14 @@ def test_an_input_is_never_overwritten_by_an_output(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert "overwritten" in result.stderr
     assert file.read_text() == text
+
+
+def test_check_config_of_serve_tries_endpoints_and_the_store_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["serve", "--connect", "foo", "--check-config"]) == 2
+    assert "serve.connect: endpoint 'foo' must be LINK/ADDRESS" in capsys.readouterr().err
+    store = tmp_path / "store"
+    assert main(["serve", "--store", str(store), "--check-config"]) == 0
+    assert not list(tmp_path.iterdir())
+    store.write_text("a diary")
+    assert main(["serve", "--store", str(store), "--check-config"]) == 2
+    assert "is not a store of records" in capsys.readouterr().err
