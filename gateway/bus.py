@@ -10,8 +10,9 @@ import queue
 import sqlite3
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Self
 
 import zenoh
@@ -22,6 +23,7 @@ from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
 from firmware_protocol.contract.presence import Kind, build_token_key
 from firmware_protocol.contract.records import (
     CommandStage,
+    EncodedBatch,
     GatewayEvent,
     GatewayStatus,
     HistoryRequest,
@@ -39,7 +41,7 @@ from gateway.bus_session import ConnectionWatch, open_service
 from gateway.config import GatewayConfig
 from gateway.errors import BusError
 from gateway.health import Health
-from gateway.journal_file import Committed, JournalReader
+from gateway.journal_file import Committed, Damage, JournalReader
 from gateway.log import EventLog
 from gateway.record_batches import batches_of, history_batches
 from gateway.tls_files import check_tls_files, read_roster
@@ -151,8 +153,9 @@ class Bus:
         open_reader: Callable[[], JournalReader],
         journal: str,
         on_watermark: Callable[[str, int], None] | None = None,
+        on_damage: Callable[[Damage], None] | None = None,
     ) -> None:
-        """Answer queries from now on, and be alive to others. ``on_command`` and ``on_watermark`` are called in the running loop."""
+        """Answer queries from now on, and be alive to others. All that is given is called in the running loop, but for ``open_reader``."""
         loop = asyncio.get_running_loop()
         command_key, history_key = self._key(Stream.COMMAND), self._key(Stream.HISTORY)
 
@@ -160,7 +163,13 @@ class Bus:
             self._take_command(query, key=command_key, loop=loop, on_command=on_command)
 
         def take_history(query: zenoh.Query) -> None:
-            self._take_history(query, key=history_key, open_reader=open_reader, journal=journal)
+            self._take_history(query, key=history_key, answer=answer_history)
+
+        def tell_damage(damage: Damage) -> None:
+            if on_damage is not None:
+                loop.call_soon_threadsafe(on_damage, damage)
+
+        answer_history = partial(history_batches, open_reader=open_reader, gateway=self._gateway, journal=journal, on_damage=tell_damage)
 
         def take_watermark(sample: zenoh.Sample) -> None:
             if on_watermark is not None:
@@ -301,7 +310,7 @@ class Bus:
         for mapper, offset in watermarks.items():
             on_watermark(mapper, offset)
 
-    def _take_history(self, query: zenoh.Query, *, key: str, open_reader: Callable[[], JournalReader], journal: str) -> None:
+    def _take_history(self, query: zenoh.Query, *, key: str, answer: Callable[[HistoryRequest], Iterator[EncodedBatch]]) -> None:
         """Runs on a thread of Zenoh."""
         try:
             request = decode_record(_payload_of(query), HistoryRequest)
@@ -311,14 +320,14 @@ class Bus:
         if not self._n_history.acquire(blocking=False):
             self._refuse(query, f"{_MAX_HISTORY_QUERIES} history queries wait already; try again")
             return
-        self._history.submit(self._answer_history, query, request, key=key, open_reader=open_reader, journal=journal)
+        self._history.submit(self._answer_history, query, request, key=key, answer=answer)
 
     def _answer_history(
-        self, query: zenoh.Query, request: HistoryRequest, *, key: str, open_reader: Callable[[], JournalReader], journal: str
+        self, query: zenoh.Query, request: HistoryRequest, *, key: str, answer: Callable[[HistoryRequest], Iterator[EncodedBatch]]
     ) -> None:
         try:
             with query:
-                for batch in history_batches(request, open_reader=open_reader, gateway=self._gateway, journal=journal):
+                for batch in answer(request):
                     query.reply(key, encode_record(batch))
         except zenoh.ZError as error:
             _log.debug("bus.history_lost", reason=str(error))

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -20,7 +21,9 @@ from firmware_protocol.units import BootId
 from gateway.errors import JournalFullError
 from gateway.health import Health
 from gateway.journal_file import (
+    PROGRESS,
     Committed,
+    Damage,
     JournalFile,
     JournalIdentity,
     JournalReader,
@@ -60,6 +63,9 @@ _TIDY_AFTER = 64
 
 _ALARM_PERIOD_S = 60.0
 """Records that a mapper lacks and that go are told of once in so long; they are counted all the while."""
+
+_MAX_TOLD_DAMAGE = 1024
+"""Damaged segments that are told of, once each."""
 
 _MAX_MAPPERS = 64
 """Mappers whose progress is remembered."""
@@ -105,6 +111,8 @@ class Journal:
         self._is_oversized = False
         self._n_undelivered = 0
         self._undelivered_told_at = -_ALARM_PERIOD_S
+        self._is_behind = self._is_behind_untold = False
+        self._damage_told: set[int] = set()
         self._on_alarm: Callable[[str, Mapping[str, str]], None] | None = None
 
     @classmethod
@@ -170,13 +178,28 @@ class Journal:
         """Have ``listener(kind, facts)`` called when records that a mapper lacks were dropped, or the size cannot be kept."""
         self._on_alarm = listener
 
+    def note_damage(self, damage: Damage) -> None:
+        """Tell, once, that records can no longer be read: whoever lacks them does without them."""
+        if damage.first in self._damage_told or len(self._damage_told) >= _MAX_TOLD_DAMAGE:
+            return
+        self._damage_told.add(damage.first)
+        self._health.count("journal.damaged_records", max(0, damage.last - damage.first + 1))
+        self._alarm("journal.damaged", first_offset=damage.first, last_offset=damage.last, reason=damage.reason)
+
     @property
     def watermarks(self) -> Mapping[str, int]:
         """How far each known mapper has said to have everything on its disk."""
         return self._watermarks
 
     def note_watermark(self, mapper: str, offset: int) -> None:
-        """Remember that a mapper has everything up to ``offset``; it is on disk within a second or two."""
+        """Remember, on disk within a second or two, that a mapper has everything up to ``offset``.
+
+        Where that is more than there is, the journal is an older copy of itself; it has another name from the next start on.
+        """
+        if offset > self._head_offset and not self._is_behind:
+            self._is_behind = self._is_behind_untold = True
+            advice = "this journal is an older copy of itself: restart the gateway, which gives it a new name"
+            self._alarm("journal.behind", mapper=mapper, mapper_has=offset, head_offset=self._head_offset, advice=advice)
         if mapper not in self._watermarks and len(self._watermarks) >= _MAX_MAPPERS:
             self._health.count("journal.mappers_ignored")
             return
@@ -314,15 +337,16 @@ class Journal:
     async def _tidy(self) -> None:
         """Take a step of upkeep; what the disk refuses of it is tried again later."""
         self._tidied_at, self._n_untidied = time.monotonic(), 0
-        watermarks, self._new_watermarks = self._new_watermarks, {}
-        loop = asyncio.get_running_loop()
-        try:
-            done = await asyncio.shield(loop.run_in_executor(self._executor, self._file.tidy, self._retention, watermarks))
-        except sqlite3.Error as error:
+        watermarks, is_behind = self._new_watermarks, self._is_behind_untold
+        self._new_watermarks, self._is_behind_untold = {}, False
+        step = partial(self._file.tidy, self._retention, watermarks, is_behind=is_behind)
+        done = await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._executor, step))
+        for name, reason in done.refused.items():
             self._health.count("journal.refused_upkeep")
-            _log.debug("journal.refused_upkeep", reason=str(error))
+            _log.debug("journal.refused_upkeep", step=name, reason=reason)
+        if PROGRESS in done.refused:
             self._new_watermarks = {**watermarks, **self._new_watermarks}
-            return
+            self._is_behind_untold = self._is_behind_untold or is_behind
         if done.has_more:
             self._n_untidied = _TIDY_AFTER  # goes on after the next commit, or in a while
         self._tell_upkeep(done)
@@ -330,7 +354,10 @@ class Journal:
     def _tell_upkeep(self, done: Upkeep) -> None:
         if done.n_dropped:
             self._health.count("journal.expired_records", done.n_dropped)
-            self._oldest_offset += done.n_dropped
+        if done.oldest_offset is not None:
+            self._oldest_offset = done.oldest_offset
+        for damage in done.damage:
+            self.note_damage(damage)
         if done.n_undelivered:
             self._health.count("journal.undelivered_dropped", done.n_undelivered)
             self._n_undelivered += done.n_undelivered

@@ -6,7 +6,7 @@ import msgspec
 
 from firmware_protocol.contract.keys import Stream
 from firmware_protocol.contract.records import EncodedBatch, EncounterRecord, HistoryRequest, MissionRecord, ModeRecord
-from gateway.journal_file import Committed, JournalReader
+from gateway.journal_file import Committed, Damage, JournalReader
 
 MAX_BATCH = 500
 """Records of one publication, or of one reply of the history: 165 kB."""
@@ -34,9 +34,16 @@ def batches_of(committed: Committed, *, gateway: str) -> Iterator[tuple[Stream, 
 
 
 def history_batches(
-    request: HistoryRequest, *, open_reader: Callable[[], JournalReader], gateway: str, journal: str
+    request: HistoryRequest,
+    *,
+    open_reader: Callable[[], JournalReader],
+    gateway: str,
+    journal: str,
+    on_damage: Callable[[Damage], None],
 ) -> Iterator[EncodedBatch]:
     """Yield at least one batch: an empty one tells how far the journal goes.
+
+    Records that are damaged are told to ``on_damage``, and those behind them follow.
 
     Raises
     ------
@@ -48,6 +55,8 @@ def history_batches(
         at, rest = request.from_offset, request.limit
         while rest > 0:
             page = reader.read_page(from_offset=at, limit=min(rest, MAX_BATCH))
+            for damage in page.damage:
+                on_damage(damage)
             yield EncodedBatch(
                 gateway=gateway,
                 journal=journal,
@@ -55,8 +64,8 @@ def history_batches(
                 oldest_offset=page.oldest_offset,
                 records=tuple(map(msgspec.Raw, page.bodies)),
             )
-            at, rest = page.first_offset + len(page.bodies), rest - len(page.bodies)
-            if not page.bodies or at > page.head_offset:
+            at, rest = page.next_offset, rest - len(page.bodies)
+            if at == page.first_offset or at > page.head_offset:
                 return
     finally:
         reader.close()

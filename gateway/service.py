@@ -204,6 +204,7 @@ class Service:
                     open_reader=journal.reader,
                     journal=journal.journal_id,
                     on_watermark=journal.note_watermark,
+                    on_damage=journal.note_damage,
                 )
                 running.append(tasks.create_task(self._publish_status(bus, intake, nodes)))
                 running.append(tasks.create_task(acknowledger.run()))

@@ -1,20 +1,22 @@
 """The journal's file: segments of records and reports in SQLite, written by one gateway and read by anybody (docs/journal.md)."""
 
 from gateway.journal_file.description import describe_journal, expect_fit_to_open, expect_journal
-from gateway.journal_file.file import SESSIONS_PER_START, JournalFile, open_journal_file
+from gateway.journal_file.file import PROGRESS, SESSIONS_PER_START, JournalFile, open_journal_file
 from gateway.journal_file.integrity import check_journal
 from gateway.journal_file.reader import JournalReader, RecordPage
 from gateway.journal_file.schema import AFTER_DAMAGE
 from gateway.journal_file.segments import SegmentBuilder
 from gateway.journal_file.upkeep import Retention, Upkeep
 from gateway.journal_file.walk import LeftOut, newest_offset, walk_records, walk_reports
-from gateway.journal_file.writes import AuditEntry, Committed, JournalIdentity, JournalWrite, UplinkReport
+from gateway.journal_file.writes import AuditEntry, Committed, Damage, JournalIdentity, JournalWrite, UplinkReport
 
 __all__ = [
     "AFTER_DAMAGE",
+    "PROGRESS",
     "SESSIONS_PER_START",
     "AuditEntry",
     "Committed",
+    "Damage",
     "JournalFile",
     "JournalIdentity",
     "JournalReader",

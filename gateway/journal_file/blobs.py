@@ -17,6 +17,9 @@ from gateway.journal_file.writes import UplinkReport
 NO_PAIR = 0xFFFF_FFFF
 """In the place of a pair where a record has none: twice the broadcast number, which is nobody's."""
 
+RECORDS_COMPRESSED, REPORTS_COMPRESSED = 1, 2
+"""Bits of a segment's ``encoding``."""
+
 _SMALLEST_TO_COMPRESS = 1024
 """Octets; below, zlib's own head and tables eat what it saves. Such segments are merged, and compressed then."""
 
@@ -123,6 +126,28 @@ def unpack_reports(packed: bytes) -> Iterator[UplinkReport]:
             )
     except (struct.error, UnicodeDecodeError) as error:
         raise DamagedSegmentError(f"its reports cannot be read: {error}") from error
+
+
+def read_contents(connection: sqlite3.Connection, segment: int, *, crc: int) -> tuple[bytes, bytes, bytes]:
+    """Return a segment's pairs, records and reports as they are stored, each byte as it was written.
+
+    Raises
+    ------
+    DamagedSegmentError
+        They are not what was written, or the database cannot find them.
+    """
+    try:
+        row = connection.execute("SELECT pairs, records, reports FROM contents WHERE segment = ?", (segment,)).fetchone()
+    except sqlite3.DatabaseError as error:
+        if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_CORRUPT:
+            raise DamagedSegmentError(str(error)) from error
+        raise
+    if row is None:
+        raise DamagedSegmentError("it has no contents")
+    pairs, records, reports = row
+    if checksum(pairs, records, reports) != crc:
+        raise DamagedSegmentError("its bytes are not those that were written (CRC-32)")
+    return pairs, records, reports
 
 
 def compress(packed: bytes) -> tuple[bytes, bool]:

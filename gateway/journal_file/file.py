@@ -9,9 +9,8 @@ import secrets
 import sqlite3
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
 from firmware_protocol.units import NS_PER_S, BootId, Nanoseconds
 from gateway.errors import JournalUnfitError
@@ -20,21 +19,33 @@ from gateway.journal_file.owner import expect_owner, remember_owner
 from gateway.journal_file.schema import (
     COMMIT,
     FIRST_SCHEMA_VERSION,
+    WALL_AGED_SCHEMA_VERSION,
     head_offset,
     make_tables,
     oldest_offset,
+    read_meta,
     schema_version_of,
     set_durable,
+    tell_ages_by_running,
     unfit,
 )
 from gateway.journal_file.segments import SegmentBuilder, Windows
-from gateway.journal_file.upkeep import Retention, Upkeep, drop_old, give_back, merge_neighbours
+from gateway.journal_file.upkeep import Dropped, Retention, Upkeep, drop_segments, drop_tables, give_back, merge_neighbours
 from gateway.journal_file.writes import JournalIdentity
 
 SESSIONS_PER_START = 16
 """Link session numbers that are a start's own: 4096 starts in a row use different ones."""
 
+PROGRESS = "progress"
+"""The step of upkeep that writes down how far mappers have come."""
+
 _MAX_ANCHORS = 64
+
+_RAN_PERIOD_NS = 600 * NS_PER_S
+"""How long a gateway has run is written down at least so often, where nothing is committed."""
+
+
+_ResultT = TypeVar("_ResultT")
 
 
 class JournalFile:
@@ -44,11 +55,20 @@ class JournalFile:
     """
 
     def __init__(
-        self, *, connection: sqlite3.Connection, lock: IO[bytes], identity: JournalIdentity, wall_clock: Callable[[], int] = time.time_ns
+        self,
+        *,
+        connection: sqlite3.Connection,
+        lock: IO[bytes],
+        identity: JournalIdentity,
+        wall_clock: Callable[[], int] = time.time_ns,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._connection = connection
         self._lock = lock
         self._wall_clock = wall_clock
+        self._clock = clock
+        self._ran_until_now_ns = self._told_ran_ns = _ran_ns(connection)
+        self._opened_ns = clock()
         self._newest_segment = _newest_segment(connection)
         self._has_failed = False
         self.identity = identity
@@ -63,25 +83,41 @@ class JournalFile:
         number = self._newest_segment + 1
         if not (self._has_failed and _newest_segment(self._connection) >= number):
             self._has_failed = True  # until it is known not to have
-            self._connection.execute(COMMIT, gathered.seal(segment=number, now_wall_ns=self._wall_clock()).row())
+            sealed = gathered.seal(segment=number, now_wall_ns=self._wall_clock(), ran_ns=self._ran_ns())
+            self._connection.execute(COMMIT, sealed.row())
         self._has_failed = False
         self._newest_segment = number
 
-    def tidy(self, retention: Retention, watermarks: Mapping[str, int]) -> Upkeep:
+    def tidy(self, retention: Retention, watermarks: Mapping[str, int], *, is_behind: bool = False) -> Upkeep:
         """Take one short step of upkeep, and write down how far mappers have come.
 
-        Raises
-        ------
-        sqlite3.Error
-            The disk does not take it; the file holds what it held.
+        ``is_behind``: a mapper has more of this journal than it has itself; from the next start on it has another name.
+        What makes room comes first, and what the disk refuses keeps nothing else from being done.
         """
-        connection, now_wall_ns = self._connection, self._wall_clock()
-        for mapper, offset in watermarks.items():
-            connection.execute("INSERT OR REPLACE INTO watermarks VALUES (?, ?, ?)", (mapper, offset, now_wall_ns))
-        has_merged = merge_neighbours(connection)
-        done = drop_old(connection, retention, now_wall_ns=now_wall_ns)
-        has_given = give_back(connection)
-        return replace(done, has_more=done.has_more or has_merged or has_given)
+        connection, ran_ns = self._connection, self._ran_ns()
+        refused: dict[str, str] = {}
+
+        def attempt(step: str, work: Callable[[], _ResultT], otherwise: _ResultT) -> _ResultT:
+            try:
+                return work()
+            except sqlite3.Error as error:
+                refused[step] = str(error)
+                return otherwise
+
+        dropped = attempt("drop", lambda: drop_segments(connection, retention, ran_ns=ran_ns), Dropped())
+        has_given = attempt("give back", lambda: give_back(connection), otherwise=False)
+        attempt("drop the rest", lambda: drop_tables(connection, retention, ran_ns=ran_ns), None)
+        attempt(PROGRESS, lambda: self._write_progress(watermarks, ran_ns=ran_ns, is_behind=is_behind), None)
+        damage = attempt("merge", lambda: merge_neighbours(connection), None)
+        return Upkeep(
+            n_dropped=dropped.n_records,
+            n_undelivered=dropped.n_undelivered,
+            is_oversized=dropped.is_oversized,
+            has_more=dropped.has_more or has_given or damage is not None,
+            oldest_offset=attempt("look", lambda: oldest_offset(connection), None),
+            damage=damage or (),
+            refused=refused,
+        )
 
     def watermarks(self) -> dict[str, int]:
         """Return how far each known mapper has said to have everything."""
@@ -90,6 +126,20 @@ class JournalFile:
     def oldest_offset(self) -> int:
         """Return the first offset that the file still has, or will have."""
         return oldest_offset(self._connection)
+
+    def _write_progress(self, watermarks: Mapping[str, int], *, ran_ns: int, is_behind: bool) -> None:
+        for mapper, offset in watermarks.items():
+            values = (mapper, offset, self._wall_clock(), ran_ns)
+            self._connection.execute("INSERT OR REPLACE INTO watermarks VALUES (?, ?, ?, ?)", values)
+        if is_behind:
+            self._connection.execute("INSERT OR REPLACE INTO meta VALUES ('is_behind', '1')")
+        if ran_ns - self._told_ran_ns >= _RAN_PERIOD_NS:
+            self._connection.execute("INSERT OR REPLACE INTO meta VALUES ('ran_ns', ?)", (str(ran_ns),))
+            self._told_ran_ns = ran_ns
+
+    def _ran_ns(self) -> int:
+        """Return how long gateways have run on this journal [ns]."""
+        return self._ran_until_now_ns + max(0, self._clock() - self._opened_ns)
 
     def close(self) -> None:
         """Close the file and let others have it."""
@@ -105,6 +155,7 @@ def open_journal_file(
     machine_boot: str,
     gateway: str | None = None,
     wall_clock: Callable[[], int] = time.time_ns,
+    clock: Callable[[], int] = time.monotonic_ns,
 ) -> JournalFile:
     """Open the journal, or make it where there is none, and begin a new boot. One of an earlier version is brought over first.
 
@@ -130,11 +181,13 @@ def open_journal_file(
             if version == 0:
                 make_tables(connection)
             set_durable(connection)
+            if version == WALL_AGED_SCHEMA_VERSION:
+                tell_ages_by_running(connection)
             if gateway is not None:
                 remember_owner(connection, gateway)
             _forget_old_lives(connection)
             identity = _begin_boot(connection, now_wall_ns=now_wall_ns, now_ns=now_ns, machine_boot=machine_boot)
-            return JournalFile(connection=connection, lock=lock, identity=identity, wall_clock=wall_clock)
+            return JournalFile(connection=connection, lock=lock, identity=identity, wall_clock=wall_clock, clock=clock)
         except BaseException:
             connection.close()
             raise
@@ -173,7 +226,7 @@ def _take_lock(path: Path) -> IO[bytes]:
 
 
 def _forget_old_lives(connection: sqlite3.Connection) -> None:
-    newest = "SELECT node, boot, row_number() OVER (PARTITION BY node ORDER BY wall_ns DESC) AS place FROM windows"
+    newest = "SELECT node, boot, row_number() OVER (PARTITION BY node ORDER BY ran_ns DESC, wall_ns DESC) AS place FROM windows"
     connection.execute(
         f"DELETE FROM windows WHERE (node, boot) IN (SELECT node, boot FROM ({newest}) WHERE place > ?)",  # noqa: S608  # constants
         (Windows.MAX_LIVES,),
@@ -181,6 +234,8 @@ def _forget_old_lives(connection: sqlite3.Connection) -> None:
 
 
 def _begin_boot(connection: sqlite3.Connection, *, now_wall_ns: int, now_ns: int, machine_boot: str) -> JournalIdentity:
+    if read_meta(connection, "is_behind") is not None:
+        _begin_history(connection)
     meta = dict(connection.execute("SELECT key, value FROM meta"))
     boot = BootId(max(int(meta["boot"]) + 1, now_wall_ns // NS_PER_S))
     anchor_ns = Nanoseconds(now_wall_ns - now_ns)
@@ -205,6 +260,24 @@ def _begin_boot(connection: sqlite3.Connection, *, now_wall_ns: int, now_ns: int
         earlier_anchors=earlier,
         first_session=first_session,
     )
+
+
+def _begin_history(connection: sqlite3.Connection) -> None:
+    """Give the journal another name: its next offsets are known, with other records, to those who read it."""
+    connection.execute("BEGIN IMMEDIATE")
+    connection.execute(
+        "INSERT OR REPLACE INTO meta VALUES ('journal', ?), ('begins', ?)", (secrets.token_hex(4), str(head_offset(connection) + 1))
+    )
+    connection.execute("DELETE FROM watermarks")
+    connection.execute("DELETE FROM meta WHERE key = 'is_behind'")
+    connection.execute("COMMIT")
+
+
+def _ran_ns(connection: sqlite3.Connection) -> int:
+    """Return how long gateways have run on a journal, as far as was written down [ns]."""
+    newest = "SELECT ran_ns FROM segments ORDER BY first_offset DESC, segment DESC LIMIT 1"
+    query = f"SELECT max(coalesce(({newest}), 0), (SELECT coalesce(max(ran_ns), 0) FROM watermarks))"  # noqa: S608  # a constant
+    return max(int(connection.execute(query).fetchone()[0]), int(read_meta(connection, "ran_ns") or 0))
 
 
 def _newest_segment(connection: sqlite3.Connection) -> int:

@@ -7,8 +7,15 @@ from pathlib import Path
 
 from firmware_protocol.contract.records import decode_journal_record
 from firmware_protocol.errors import RecordError
-from gateway.journal_file.blobs import DamagedSegmentError, checksum, decompress, unpack_records, unpack_reports
-from gateway.journal_file.segments import RECORDS_COMPRESSED, REPORTS_COMPRESSED
+from gateway.journal_file.blobs import (
+    RECORDS_COMPRESSED,
+    REPORTS_COMPRESSED,
+    DamagedSegmentError,
+    checksum,
+    decompress,
+    unpack_records,
+    unpack_reports,
+)
 
 MAX_FAULTS = 20
 """Faults that are told; the others are counted."""

@@ -1,4 +1,4 @@
-"""A journal of version 1 (one row a record) becomes one of version 2: beside the old file first, then in its place.
+"""A journal of version 1 (one row a record) becomes one of this version: beside the old file first, then in its place.
 
 Bounded memory; a process that is killed on the way leaves the old file as it was. The disk must have room for both.
 """
@@ -25,7 +25,7 @@ _TOLD_FROM = 50_000
 _SAME = {
     "meta": "SELECT key, value FROM meta WHERE key <> 'commits'",
     "nodes": "SELECT node, body FROM nodes",
-    "audit": "SELECT id, wall_ns, command_id, wire_command, stage, node, train_ms, request, body FROM audit ORDER BY id",
+    "audit": "SELECT id, wall_ns, command_id, wire_command, stage, node, train_ms, request, body, 0 FROM audit ORDER BY id",
 }
 """Tables that are copied as they are."""
 
@@ -35,7 +35,7 @@ FROM reports r LEFT JOIN windows w ON (w.node, w.boot) = (r.node, r.boot) ORDER 
 
 
 def bring_over(path: Path) -> None:
-    """Replace a journal of version 1 by one of version 2 with the same history.
+    """Replace a journal of version 1 by one of this version with the same history.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def _copy(old: sqlite3.Connection, new: sqlite3.Connection) -> None:
         n_done = 0
         windows = Windows()
         for segment, (wall_ns, builder) in enumerate(_segments(old, windows), start=1):
-            new.execute(COMMIT, builder.seal(segment=segment, now_wall_ns=wall_ns).row())
+            new.execute(COMMIT, builder.seal(segment=segment, now_wall_ns=wall_ns, ran_ns=0).row())
             n_done += builder.n_writes
             tell.tell(n_done)
 

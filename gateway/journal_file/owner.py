@@ -6,9 +6,8 @@ from pathlib import Path
 from firmware_protocol.contract.records import decode_journal_record
 from firmware_protocol.errors import RecordError
 from gateway.errors import JournalUnfitError
-from gateway.journal_file.blobs import DamagedSegmentError, decompress, unpack_records
+from gateway.journal_file.blobs import RECORDS_COMPRESSED, DamagedSegmentError, decompress, unpack_records
 from gateway.journal_file.schema import FIRST_SCHEMA_VERSION
-from gateway.journal_file.segments import RECORDS_COMPRESSED
 
 _LOOKED_AT = 8
 """Newest segments that are tried, where some are damaged."""

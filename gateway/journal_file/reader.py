@@ -8,25 +8,40 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord, MissionRecord, ModeRecord, decode_journal_record
+from firmware_protocol.errors import RecordError
 from firmware_protocol.units import BootId, NodeId
-from gateway.journal_file.blobs import decompress, pair_needle, unpack_records, unpack_reports
-from gateway.journal_file.schema import head_offset, oldest_offset
-from gateway.journal_file.segments import MISSION, MODE, RECORDS_COMPRESSED, REPORTS_COMPRESSED
-from gateway.journal_file.writes import AuditEntry, UplinkReport
+from gateway.journal_file.blobs import (
+    RECORDS_COMPRESSED,
+    REPORTS_COMPRESSED,
+    DamagedSegmentError,
+    decompress,
+    pair_needle,
+    read_contents,
+    unpack_records,
+    unpack_reports,
+)
+from gateway.journal_file.schema import head_offset, oldest_offset, read_meta
+from gateway.journal_file.segments import MISSION, MODE
+from gateway.journal_file.writes import AuditEntry, Damage, UplinkReport
 
 _KEPT_SEGMENTS = 16
 """Unpacked segments that a reader keeps: late reports of one moment ask for the same ones."""
 
-_HEAD = "first_offset, segment, encoding, crc"
-_Head = tuple[int, int, int, int]
+_HEAD = "first_offset, segment, encoding, crc, n_records"
+_Head = tuple[int, int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordPage:
-    """Records in the order of their offsets, as MessagePack, and what the journal has: from ``oldest_offset`` to ``head_offset``."""
+    """Records in the order of their offsets, as MessagePack, and what the journal has: from ``oldest_offset`` to ``head_offset``.
+
+    It covers the offsets from ``first_offset`` up to the one before ``next_offset``; those of ``damage`` are not among the bodies.
+    """
 
     first_offset: int
+    next_offset: int
     bodies: tuple[bytes, ...]
+    damage: tuple[Damage, ...]
     head_offset: int
     oldest_offset: int
 
@@ -40,7 +55,7 @@ class _Unpacked:
 
 
 class JournalReader:
-    """A connection that only reads what is committed."""
+    """A connection that only reads what is committed; what is damaged is passed over by ``read_page`` alone, which says so."""
 
     def __init__(self, path: Path) -> None:
         self._connection = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=5.0)
@@ -50,10 +65,11 @@ class JournalReader:
     def read_page(self, *, from_offset: int, limit: int) -> RecordPage:
         """Return up to ``limit`` records from an offset on, or from the oldest that is left."""
         bodies: list[bytes] = []
+        damage: list[Damage] = []
         connection = self._connection
         with self._one_moment():
             head, oldest = head_offset(connection), oldest_offset(connection)
-            first_offset = max(from_offset, oldest)
+            first_offset = next_offset = max(from_offset, oldest)
             begin = "SELECT max(first_offset) FROM segments WHERE first_offset <= ? AND n_records > 0"
             (at,) = connection.execute(begin, (first_offset,)).fetchone()
             rows = connection.execute(
@@ -61,12 +77,28 @@ class JournalReader:
                 (oldest if at is None else at,),
             )
             for head_of_one in rows:
-                members = self._unpack(head_of_one).bodies
-                bodies += members[max(0, first_offset - head_of_one[0]) :][: limit - len(bodies)]
+                end = head_of_one[0] + head_of_one[-1]
+                try:
+                    members = self._unpack(head_of_one).bodies[max(0, next_offset - head_of_one[0]) :][: limit - len(bodies)]
+                    _expect_records(members, first_offset=max(next_offset, head_of_one[0]))
+                except (DamagedSegmentError, RecordError) as error:
+                    if end > next_offset:
+                        damage.append(Damage(first=max(next_offset, head_of_one[0]), last=end - 1, reason=str(error)))
+                    next_offset = max(next_offset, end)
+                    continue
+                bodies += members
+                next_offset = max(next_offset, head_of_one[0]) + len(members)
                 if len(bodies) >= limit:
                     break
             rows.close()
-        return RecordPage(first_offset=first_offset, bodies=tuple(bodies), head_offset=head, oldest_offset=oldest)
+        return RecordPage(
+            first_offset=first_offset,
+            next_offset=next_offset,
+            bodies=tuple(bodies),
+            damage=tuple(damage),
+            head_offset=head,
+            oldest_offset=oldest,
+        )
 
     def read_records(self, *, from_offset: int, limit: int) -> tuple[list[JournalRecord], int]:
         """Return up to ``limit`` records from an offset on, and the newest offset."""
@@ -74,8 +106,9 @@ class JournalReader:
         return [decode_journal_record(body) for body in page.bodies], page.head_offset
 
     def read_recent_modes(self, *, limit: int) -> list[ModeRecord]:
-        """Return the newest ``limit`` mode records, in the order of their offsets."""
-        return [record for record in self._states(MODE, limit) if isinstance(record, ModeRecord)]
+        """Return those of the newest ``limit`` mode records that are of the journal's name, in the order of their offsets."""
+        begins = self._begins()
+        return [record for record in self._states(MODE, limit) if isinstance(record, ModeRecord) and record.offset >= begins]
 
     def read_last_mission(self) -> MissionRecord | None:
         """Return the phase that began last, or None where no mission has run."""
@@ -100,15 +133,19 @@ class JournalReader:
                 if head in self._unpacked or self._may_hold(head, needle):
                     unpacked = self._unpack(head)
                     found += [decode_journal_record(unpacked.bodies[place]) for place in unpacked.places.get(needle, ())]
+        begins = self._begins()
         encounters = [record for record in found if isinstance(record, EncounterRecord)]
         return [
             record
             for record in encounters
-            if (record.node_a, record.node_b) == (node_a, node_b) and _overlaps(record, from_wall_ns, to_wall_ns)
+            if (record.node_a, record.node_b) == (node_a, node_b)
+            and record.offset >= begins
+            and _overlaps(record, from_wall_ns, to_wall_ns)
         ]
 
     def read_encounters(self, *, from_wall_ns: int, to_wall_ns: int) -> Iterator[EncounterRecord]:
         """Yield all revisions of all encounters that overlap a time, in the order of their offsets."""
+        begins = self._begins()
         with self._one_moment():
             rows = self._connection.execute(
                 f"SELECT {_HEAD} FROM segments WHERE max_end >= ? AND min_start <= ? ORDER BY first_offset",  # noqa: S608  # a constant
@@ -117,7 +154,7 @@ class JournalReader:
             for head in rows:
                 for body in self._unpack(head).bodies:
                     record = decode_journal_record(body)
-                    if isinstance(record, EncounterRecord) and _overlaps(record, from_wall_ns, to_wall_ns):
+                    if isinstance(record, EncounterRecord) and record.offset >= begins and _overlaps(record, from_wall_ns, to_wall_ns):
                         yield record
 
     def read_latest_end(self) -> int | None:
@@ -127,16 +164,14 @@ class JournalReader:
 
     def read_reports(self) -> Iterator[UplinkReport]:
         """Yield all uplink messages that are left, in the order in which they were committed."""
-        rows = self._connection.execute(
-            "SELECT s.encoding, c.reports FROM segments s JOIN contents c ON c.segment = s.segment "
-            "WHERE s.n_reports > 0 ORDER BY s.first_offset, s.segment"
-        )
-        for encoding, reports in rows:
+        rows = self._connection.execute("SELECT segment, encoding, crc FROM segments WHERE n_reports > 0 ORDER BY first_offset, segment")
+        for segment, encoding, crc in rows:
+            _, _, reports = read_contents(self._connection, segment, crc=crc)
             yield from unpack_reports(decompress(reports, is_compressed=bool(encoding & REPORTS_COMPRESSED)))
 
     def read_windows(self) -> list[tuple[NodeId, BootId, int, list[int]]]:
         """Return the newest boots of each node, the number below which all is done, and the numbers above that."""
-        rows = self._connection.execute("SELECT node, boot, next, above FROM windows ORDER BY wall_ns").fetchall()
+        rows = self._connection.execute("SELECT node, boot, next, above FROM windows ORDER BY ran_ns, wall_ns").fetchall()
         return [
             (NodeId(node), BootId(boot), at, [at + bit for bit in range(above.bit_length()) if above >> bit & 1])
             for node, boot, at, above in rows
@@ -163,6 +198,10 @@ class JournalReader:
         """Close the connection."""
         self._connection.close()
 
+    def _begins(self) -> int:
+        """Return the first offset of the journal's name; what is before it is of another history."""
+        return int(read_meta(self._connection, "begins") or 1)
+
     @contextlib.contextmanager
     def _one_moment(self) -> Iterator[None]:
         """Read one moment of the file: segments are merged and dropped meanwhile."""
@@ -181,9 +220,11 @@ class JournalReader:
         if unpacked is not None:
             self._unpacked.move_to_end(head)
             return unpacked
-        query = "SELECT pairs, records FROM contents WHERE segment = ?"
-        pairs, records = self._connection.execute(query, (head[1],)).fetchone() or (b"", b"")
-        bodies = unpack_records(decompress(records, is_compressed=bool(head[2] & RECORDS_COMPRESSED)))
+        _, segment, encoding, crc, n_records = head
+        pairs, records, _ = read_contents(self._connection, segment, crc=crc)
+        bodies = unpack_records(decompress(records, is_compressed=bool(encoding & RECORDS_COMPRESSED)))
+        if len(bodies) != n_records:
+            raise DamagedSegmentError(f"it has {len(bodies)} records, but should have {n_records}")
         places: dict[bytes, list[int]] = {}
         for place in range(len(bodies)):
             places.setdefault(pairs[4 * place : 4 * place + 4], []).append(place)
@@ -201,6 +242,14 @@ class JournalReader:
         rows = self._connection.execute(f"SELECT {columns} FROM audit {where}", values)  # noqa: S608  # both parts are constants of this file
         names = columns.split(", ")
         return [AuditEntry(**dict(zip(names, row, strict=True))) for row in rows]
+
+
+def _expect_records(bodies: Sequence[bytes], *, first_offset: int) -> None:
+    """Raise ``DamagedSegmentError`` or ``RecordError`` where bodies are not the records of these offsets."""
+    for offset, body in enumerate(bodies, start=first_offset):
+        said = decode_journal_record(body).offset
+        if said != offset:
+            raise DamagedSegmentError(f"the record at offset {offset} says that its offset is {said}")
 
 
 def _overlaps(record: EncounterRecord, from_wall_ns: int, to_wall_ns: int) -> bool:

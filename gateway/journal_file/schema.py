@@ -1,4 +1,4 @@
-"""The tables of a journal, version 2, and whether a file is one (docs/journal.md).
+"""The tables of a journal, version 3, and whether a file is one (docs/journal.md).
 
 ``segments`` says of each commit, or of several merged ones, what is in it; ``contents`` holds its bytes. ``windows``, ``nodes``, ``states``
 and ``audit`` are what a restart wants to know at once. One INSERT into the view ``commits`` is one transaction on all of them: each
@@ -14,54 +14,64 @@ from gateway.errors import JournalUnfitError
 APPLICATION_ID = 0x42494F47
 """In SQLite's header, "BIOG": this file is a gateway's journal."""
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 FIRST_SCHEMA_VERSION = 1
 """Whose files are brought over."""
 
+WALL_AGED_SCHEMA_VERSION = 2
+"""Whose files lack ``ran_ns``, and get it in place."""
+
 _COLUMNS = (
-    "segment, first_offset, n_records, n_reports, wall_ns, min_start, max_end, encoding, crc, pairs, records, reports, "
+    "segment, first_offset, n_records, n_reports, wall_ns, ran_ns, min_start, max_end, encoding, crc, pairs, records, reports, "
     "windows, states, nodes, audits, blobs"
 )
 COMMIT = f"INSERT INTO commits ({_COLUMNS}) VALUES ({', '.join('?' * len(_COLUMNS.split(',')))})"  # noqa: S608  # constants of this file
 """Takes ``SealedSegment.row()``."""
 
-_STATEMENTS = (
+_RAN = "ran_ns INTEGER NOT NULL DEFAULT 0"
+_RAN_TABLES = ("segments", "windows", "audit", "watermarks")
+
+_TABLES = (
     "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
-    # level: how often it was merged. wall_ns: when it was committed. min_start, max_end: UTC of its encounters.
-    """CREATE TABLE segments (
+    # level: how often it was merged, or that it is damaged. wall_ns: when it was committed. min_start, max_end: UTC of its encounters.
+    # ran_ns, here and below: how long gateways had run on this journal by then. Ages are told by it: no clock that is set changes it.
+    f"""CREATE TABLE segments (
   first_offset INTEGER NOT NULL, segment INTEGER NOT NULL, n_records INTEGER NOT NULL, n_reports INTEGER NOT NULL, level INTEGER NOT NULL,
-  wall_ns INTEGER NOT NULL, min_start INTEGER, max_end INTEGER, encoding INTEGER NOT NULL, crc INTEGER NOT NULL,
+  wall_ns INTEGER NOT NULL, min_start INTEGER, max_end INTEGER, encoding INTEGER NOT NULL, crc INTEGER NOT NULL, {_RAN},
   PRIMARY KEY (first_offset, segment)) WITHOUT ROWID""",
     "CREATE INDEX segments_of_time ON segments (max_end, min_start) WHERE max_end IS NOT NULL",
     "CREATE TABLE contents (segment INTEGER PRIMARY KEY, pairs BLOB NOT NULL, records BLOB NOT NULL, reports BLOB NOT NULL)",
-    """CREATE TABLE windows (
-  node INTEGER NOT NULL, boot INTEGER NOT NULL, next INTEGER NOT NULL, above INTEGER NOT NULL, wall_ns INTEGER NOT NULL,
+    f"""CREATE TABLE windows (
+  node INTEGER NOT NULL, boot INTEGER NOT NULL, next INTEGER NOT NULL, above INTEGER NOT NULL, wall_ns INTEGER NOT NULL, {_RAN},
   PRIMARY KEY (node, boot)) WITHOUT ROWID""",
     "CREATE TABLE nodes (node INTEGER PRIMARY KEY, body BLOB NOT NULL)",
     "CREATE TABLE states (offset INTEGER PRIMARY KEY, kind INTEGER NOT NULL, body BLOB NOT NULL)",
     "CREATE INDEX states_of_kind ON states (kind, offset)",
-    """CREATE TABLE audit (
+    f"""CREATE TABLE audit (
   id INTEGER PRIMARY KEY, wall_ns INTEGER NOT NULL, command_id TEXT NOT NULL, wire_command INTEGER, stage TEXT NOT NULL,
-  node INTEGER NOT NULL, train_ms INTEGER NOT NULL, request BLOB NOT NULL, body BLOB NOT NULL)""",
+  node INTEGER NOT NULL, train_ms INTEGER NOT NULL, request BLOB NOT NULL, body BLOB NOT NULL, {_RAN})""",
     "CREATE INDEX audit_of_command ON audit (command_id, id)",
     "CREATE INDEX audit_of_time ON audit (wall_ns)",
-    "CREATE TABLE watermarks (mapper TEXT PRIMARY KEY, offset INTEGER NOT NULL, wall_ns INTEGER NOT NULL) WITHOUT ROWID",
+    f"CREATE TABLE watermarks (mapper TEXT PRIMARY KEY, offset INTEGER NOT NULL, wall_ns INTEGER NOT NULL, {_RAN}) WITHOUT ROWID",
+)
+_COMMITS = (
     f"CREATE VIEW commits AS SELECT {', '.join('NULL AS ' + name for name in _COLUMNS.split(', '))}",
     # substr of an empty blob is NULL.
     """CREATE TRIGGER commit_segment INSTEAD OF INSERT ON commits BEGIN
   INSERT INTO segments VALUES (
-    NEW.first_offset, NEW.segment, NEW.n_records, NEW.n_reports, 0, NEW.wall_ns, NEW.min_start, NEW.max_end, NEW.encoding, NEW.crc);
+    NEW.first_offset, NEW.segment, NEW.n_records, NEW.n_reports, 0, NEW.wall_ns, NEW.min_start, NEW.max_end, NEW.encoding, NEW.crc,
+    NEW.ran_ns);
   INSERT INTO contents VALUES (NEW.segment, NEW.pairs, NEW.records, NEW.reports);
   INSERT OR REPLACE INTO windows
-    SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4 FROM json_each(NEW.windows);
+    SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, NEW.ran_ns FROM json_each(NEW.windows);
   INSERT INTO states
     SELECT value ->> 0, value ->> 1, coalesce(substr(NEW.blobs, value ->> 2, value ->> 3), x'') FROM json_each(NEW.states);
   INSERT OR REPLACE INTO nodes
     SELECT value ->> 0, coalesce(substr(NEW.blobs, value ->> 1, value ->> 2), x'') FROM json_each(NEW.nodes);
-  INSERT INTO audit (wall_ns, command_id, wire_command, stage, node, train_ms, request, body)
+  INSERT INTO audit (wall_ns, command_id, wire_command, stage, node, train_ms, request, body, ran_ns)
     SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5,
       coalesce(substr(NEW.blobs, value ->> 6, value ->> 7), x''),
-      coalesce(substr(NEW.blobs, value ->> 8, value ->> 9), x'') FROM json_each(NEW.audits);
+      coalesce(substr(NEW.blobs, value ->> 8, value ->> 9), x''), NEW.ran_ns FROM json_each(NEW.audits);
 END""",
 )
 
@@ -86,10 +96,20 @@ def make_tables(connection: sqlite3.Connection, *, journal: str | None = None) -
     connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     set_durable(connection)
     connection.execute("BEGIN IMMEDIATE")
-    for statement in _STATEMENTS:
+    for statement in (*_TABLES, *_COMMITS):
         connection.execute(statement)
     connection.execute("INSERT INTO meta VALUES ('journal', ?), ('boot', '0')", (journal or secrets.token_hex(4),))
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+    connection.execute("COMMIT")
+
+
+def tell_ages_by_running(connection: sqlite3.Connection) -> None:
+    """Make a file of version 2 one of version 3: all that is in it begins to age now."""
+    connection.execute("BEGIN IMMEDIATE")
+    connection.execute("DROP VIEW IF EXISTS commits")  # and its trigger
+    for statement in (*(f"ALTER TABLE {table} ADD COLUMN {_RAN}" for table in _RAN_TABLES), *_COMMITS):
+        connection.execute(statement)
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("COMMIT")
 
@@ -132,8 +152,15 @@ def head_offset(connection: sqlite3.Connection) -> int:
 
 
 def oldest_offset(connection: sqlite3.Connection) -> int:
-    """Return the first offset that a journal still has, or will have."""
-    return int(connection.execute("SELECT coalesce(min(first_offset), 1) FROM segments").fetchone()[0])
+    """Return the first offset under its name that a journal still has, or will have."""
+    (first_offset,) = connection.execute("SELECT coalesce(min(first_offset), 1) FROM segments").fetchone()
+    return max(int(first_offset), int(read_meta(connection, "begins") or 1))
+
+
+def read_meta(connection: sqlite3.Connection, key: str) -> str | None:
+    """Return what ``meta`` says, or None."""
+    row = connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
+    return None if row is None else str(row[0])
 
 
 def unfit(path: Path, error: sqlite3.DatabaseError) -> JournalUnfitError:

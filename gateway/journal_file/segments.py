@@ -14,14 +14,22 @@ from firmware_protocol.contract.records import (
     MissionRecord,
     encode_journal_record,
 )
-from gateway.journal_file.blobs import NO_PAIR, checksum, compress, pack_pairs, pack_records, pack_report, pair_key, unpack_records
+from gateway.journal_file.blobs import (
+    NO_PAIR,
+    RECORDS_COMPRESSED,
+    REPORTS_COMPRESSED,
+    checksum,
+    compress,
+    pack_pairs,
+    pack_records,
+    pack_report,
+    pair_key,
+    unpack_records,
+)
 from gateway.journal_file.writes import AuditEntry, JournalWrite, UplinkReport
 
 MODE, MISSION = 1, 2
 """Kinds of states: records that are few, and wanted by themselves at a restart."""
-
-RECORDS_COMPRESSED, REPORTS_COMPRESSED = 1, 2
-"""Bits of a segment's ``encoding``."""
 
 _MIN_INTEGER, _MAX_INTEGER = -(1 << 63), (1 << 63) - 1  # SQLite's
 _MAX_AHEAD = 62
@@ -110,7 +118,7 @@ class SegmentBuilder:
         self._states += states
         self.size += sum(map(len, bodies))
 
-    def seal(self, *, segment: int, now_wall_ns: int) -> "SealedSegment":
+    def seal(self, *, segment: int, now_wall_ns: int, ran_ns: int) -> "SealedSegment":
         """Return it ready for the disk, as segment number ``segment``."""
         blobs: list[bytes] = []
         at = 1  # SQLite's substr counts from 1
@@ -144,6 +152,7 @@ class SegmentBuilder:
             n_records=len(self.bodies),
             n_reports=len(self._reports),
             wall_ns=now_wall_ns,
+            ran_ns=ran_ns,
             min_start=self._min_start if has_encounters else None,
             max_end=self._max_end if has_encounters else None,
             contents=contents,
@@ -175,6 +184,7 @@ class SealedSegment:
     n_records: int
     n_reports: int
     wall_ns: int
+    ran_ns: int
     min_start: int | None
     max_end: int | None
     contents: Contents
@@ -193,6 +203,7 @@ class SealedSegment:
             self.n_records,
             self.n_reports,
             self.wall_ns,
+            self.ran_ns,
             self.min_start,
             self.max_end,
             contents.encoding,

@@ -5,10 +5,16 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from gateway.journal_file.blobs import DamagedSegmentError, decompress, unpack_records, unpack_reports
+from gateway.journal_file.blobs import (
+    RECORDS_COMPRESSED,
+    REPORTS_COMPRESSED,
+    DamagedSegmentError,
+    decompress,
+    unpack_records,
+    unpack_reports,
+)
 from gateway.journal_file.integrity import segment_fault, segment_name
 from gateway.journal_file.schema import head_offset
-from gateway.journal_file.segments import RECORDS_COMPRESSED, REPORTS_COMPRESSED
 from gateway.journal_file.writes import UplinkReport
 
 LeftOut = Callable[[str], object]

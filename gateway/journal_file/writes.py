@@ -59,6 +59,15 @@ class Committed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Damage:
+    """Offsets whose records are lost: their bytes are no longer those that were written. ``last`` < ``first``: messages alone."""
+
+    first: int
+    last: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class JournalIdentity:
     """Name of the file's history, number of this start, and how far the history goes.
 

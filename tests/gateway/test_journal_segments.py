@@ -53,18 +53,23 @@ def a_report(number: int, *, node: int = 1, next_number: int | None = None, wall
 
 
 class _Clock:
-    """A wall clock that is set by hand [ns]."""
+    """A monotonic clock that is set by hand [ns], and a wall clock that may be set beside it."""
 
     def __init__(self) -> None:
-        self.now_ns = 10**18
+        self.now_ns = 0
+        self.wall_offset_ns = 10**18
 
     def __call__(self) -> int:
         return self.now_ns
 
+    def wall(self) -> int:
+        return self.now_ns + self.wall_offset_ns
+
 
 @contextlib.contextmanager
 def _opened(path: Path, clock: _Clock | None = None) -> Iterator[JournalFile]:
-    file = open_journal_file(path, now_wall_ns=10**18, now_ns=0, machine_boot="", wall_clock=clock or _Clock())
+    clock = clock or _Clock()
+    file = open_journal_file(path, now_wall_ns=clock.wall(), now_ns=clock(), machine_boot="", wall_clock=clock.wall, clock=clock)
     try:
         yield file
     finally:
