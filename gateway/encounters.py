@@ -124,7 +124,8 @@ class EncounterMerger:
                 continue
             known.add(identity)
             meeting = meeting_of_record(record, issuer=self.issuer, margin_ns=margin(record), period_ns=period(record))
-            at = bisect_right(meetings, meeting.cover_start_ns, key=_cover_start)
+            # By what was heard: covers may have been cut for those restored before.
+            at = bisect_right(meetings, meeting.heard_from_ns, key=_heard_from)
             if at:
                 part(meetings[at - 1], meeting)
             if at < len(meetings):
@@ -195,6 +196,10 @@ class EncounterMerger:
             meeting.revision += 1
             records.append(meeting.record(pair, issuer=self.issuer, guesses=self.loss.now, is_void=meeting is not kept))
         return records
+
+
+def _heard_from(meeting: Meeting) -> int:
+    return meeting.heard_from_ns
 
 
 def _overlap(meetings: list[Meeting], cover_start_ns: int, cover_end_ns: int) -> tuple[int, int]:

@@ -13,8 +13,7 @@ from gateway.issuer import RecordIssuer
 from gateway.radio import strongest
 from gateway.unheard import Guesses
 
-_Reach = tuple[int, bool]
-"""How far a report goes, and whether it was final."""
+_NEVER_NS = -(1 << 62)
 
 
 class SideReport(Struct, kw_only=True, gc=False):
@@ -53,8 +52,9 @@ class Meeting(Struct, kw_only=True, gc=False):
         Of all reports with their margins: another one of the pair that overlaps this belongs to the encounter.
     side_a, side_b
         Of the lower and the higher node number.
-    is_final_a, is_final_b
-        Whether the report of the side that reaches furthest was final.
+    final_end_a_ns, final_end_b_ns
+        Where the final report of the side ends that reaches furthest. A provisional one that reaches no further than the error of the
+        side's clock beyond it was dated by a clock that was known worse: the encounter is over.
     """
 
     boot: BootId
@@ -65,8 +65,23 @@ class Meeting(Struct, kw_only=True, gc=False):
     period_ns: int
     side_a: EncounterSide | None = None
     side_b: EncounterSide | None = None
-    is_final_a: bool = False
-    is_final_b: bool = False
+    final_end_a_ns: int = _NEVER_NS
+    final_end_b_ns: int = _NEVER_NS
+
+    @property
+    def heard_from_ns(self) -> int:
+        """When the first report of either side begins [ns]."""
+        return min((side.t_start_ns for side in (self.side_a, self.side_b) if side is not None), default=self.cover_start_ns)
+
+    @property
+    def is_final_a(self) -> bool:
+        """Whether the lower number's side has told the end."""
+        return _is_final(self.side_a, self.final_end_a_ns)
+
+    @property
+    def is_final_b(self) -> bool:
+        """Whether the higher number's side has told the end."""
+        return _is_final(self.side_b, self.final_end_b_ns)
 
     @property
     def identity(self) -> tuple[BootId, int]:
@@ -75,15 +90,18 @@ class Meeting(Struct, kw_only=True, gc=False):
 
     def take(self, report: SideReport) -> bool:
         """Add a report; return whether it says anything new."""
-        is_a = report.node < report.peer
-        old, was_final = (self.side_a, self.is_final_a) if is_a else (self.side_b, self.is_final_b)
-        side, is_final = side_of(report), not report.is_ongoing
-        if old is not None:
-            side, is_final = _join(old, side), _further((old.t_end_ns, was_final), (side.t_end_ns, is_final))
-        if is_a:
-            self.side_a, self.is_final_a = side, is_final
+        final_end_ns = _NEVER_NS if report.is_ongoing else report.t_end_ns
+        side = side_of(report)
+        if report.node < report.peer:
+            old, was_final = self.side_a, self.is_final_a
+            self.side_a = side = side if old is None else _join(old, side)
+            self.final_end_a_ns = max(self.final_end_a_ns, final_end_ns)
+            is_final = self.is_final_a
         else:
-            self.side_b, self.is_final_b = side, is_final
+            old, was_final = self.side_b, self.is_final_b
+            self.side_b = side = side if old is None else _join(old, side)
+            self.final_end_b_ns = max(self.final_end_b_ns, final_end_ns)
+            is_final = self.is_final_b
         cover_start_ns, cover_end_ns = report.t_start_ns - report.margin_ns, report.t_end_ns + report.margin_ns
         self.cover_start_ns = min(self.cover_start_ns, cover_start_ns)
         self.cover_end_ns = max(self.cover_end_ns, cover_end_ns)
@@ -92,8 +110,9 @@ class Meeting(Struct, kw_only=True, gc=False):
 
     def absorb(self, other: "Meeting") -> None:
         """Add all that is known of another encounter of the pair, which turned out to be the same."""
-        self.side_a, self.is_final_a = _join_known(self.side_a, other.side_a, is_final=self.is_final_a, is_other_final=other.is_final_a)
-        self.side_b, self.is_final_b = _join_known(self.side_b, other.side_b, is_final=self.is_final_b, is_other_final=other.is_final_b)
+        self.side_a, self.side_b = _join_known(self.side_a, other.side_a), _join_known(self.side_b, other.side_b)
+        self.final_end_a_ns = max(self.final_end_a_ns, other.final_end_a_ns)
+        self.final_end_b_ns = max(self.final_end_b_ns, other.final_end_b_ns)
         self.cover_start_ns = min(self.cover_start_ns, other.cover_start_ns)
         self.cover_end_ns = max(self.cover_end_ns, other.cover_end_ns)
         self.period_ns = max(self.period_ns, other.period_ns)
@@ -162,6 +181,7 @@ class Meeting(Struct, kw_only=True, gc=False):
 def meeting_of(report: SideReport, *, boot: BootId, sequence: int) -> Meeting:
     """Begin an encounter with a report."""
     side, is_a = side_of(report), report.node < report.peer
+    final_end_ns = _NEVER_NS if report.is_ongoing else report.t_end_ns
     return Meeting(
         boot=boot,
         sequence=sequence,
@@ -171,8 +191,8 @@ def meeting_of(report: SideReport, *, boot: BootId, sequence: int) -> Meeting:
         period_ns=report.period_ns,
         side_a=side if is_a else None,
         side_b=None if is_a else side,
-        is_final_a=is_a and not report.is_ongoing,
-        is_final_b=not is_a and not report.is_ongoing,
+        final_end_a_ns=final_end_ns if is_a else _NEVER_NS,
+        final_end_b_ns=_NEVER_NS if is_a else final_end_ns,
     )
 
 
@@ -195,7 +215,7 @@ def meeting_of_record(record: EncounterRecord, *, issuer: RecordIssuer, margin_n
     }
     start_ns = min((side.t_start_ns for side in sides.values()), default=here(record.t_start_ns))
     end_ns = max((side.t_end_ns for side in sides.values()), default=here(record.t_end_ns))
-    is_final = not record.is_ongoing
+    side_a, side_b = sides.get(record.node_a), sides.get(record.node_b)
     return Meeting(
         boot=record.boot,
         sequence=record.sequence,
@@ -203,10 +223,10 @@ def meeting_of_record(record: EncounterRecord, *, issuer: RecordIssuer, margin_n
         cover_start_ns=start_ns - margin_ns,
         cover_end_ns=end_ns + margin_ns,
         period_ns=period_ns,
-        side_a=sides.get(record.node_a),
-        side_b=sides.get(record.node_b),
-        is_final_a=is_final,
-        is_final_b=is_final,
+        side_a=side_a,
+        side_b=side_b,
+        final_end_a_ns=_NEVER_NS if record.is_ongoing or side_a is None else side_a.t_end_ns,
+        final_end_b_ns=_NEVER_NS if record.is_ongoing or side_b is None else side_b.t_end_ns,
     )
 
 
@@ -215,8 +235,7 @@ def part(before: Meeting, after: Meeting) -> None:
     if before.cover_end_ns < after.cover_start_ns:
         return
     heard_until_ns = max((side.t_end_ns for side in (before.side_a, before.side_b) if side is not None), default=before.cover_end_ns)
-    heard_from_ns = min((side.t_start_ns for side in (after.side_a, after.side_b) if side is not None), default=after.cover_start_ns)
-    cut_ns = min((heard_until_ns + heard_from_ns + 1) // 2, before.cover_end_ns + 1, after.cover_end_ns)
+    cut_ns = min((heard_until_ns + after.heard_from_ns + 1) // 2, before.cover_end_ns + 1, after.cover_end_ns)
     cut_ns = max(cut_ns, before.cover_start_ns + 1, after.cover_start_ns)
     before.cover_end_ns, after.cover_start_ns = cut_ns - 1, cut_ns
 
@@ -233,19 +252,12 @@ def side_of(report: SideReport) -> EncounterSide:
     )
 
 
-def _further(one: _Reach, other: _Reach) -> bool:
-    """Tell whether the report that reaches furthest is final; of two that reach as far, either."""
-    if one[0] == other[0]:
-        return one[1] or other[1]
-    return one[1] if one[0] > other[0] else other[1]
+def _is_final(side: EncounterSide | None, final_end_ns: int) -> bool:
+    return side is not None and side.t_end_ns <= final_end_ns + (side.error_ns or 0)
 
 
-def _join_known(
-    one: EncounterSide | None, other: EncounterSide | None, *, is_final: bool, is_other_final: bool
-) -> tuple[EncounterSide | None, bool]:
-    if one is None or other is None:
-        return (other, is_other_final) if one is None else (one, is_final)
-    return _join(one, other), _further((one.t_end_ns, is_final), (other.t_end_ns, is_other_final))
+def _join_known(one: EncounterSide | None, other: EncounterSide | None) -> EncounterSide | None:
+    return one or other if one is None or other is None else _join(one, other)
 
 
 def _join(one: EncounterSide, other: EncounterSide) -> EncounterSide:

@@ -310,3 +310,13 @@ def test_what_was_voided_does_not_come_back_before_its_void_is_on_disk() -> None
         assert [meeting.sequence for meeting in merger._meetings[NodeId(1), NodeId(2)]] == [0]
     merger.settle_voided()
     assert not merger._voided | merger._voided_before, "the journal tells it from now on"
+
+
+def test_a_final_report_ends_an_encounter_whose_provisional_one_was_dated_by_a_clock_that_was_known_worse() -> None:
+    merger = EncounterMerger(issuer=an_issuer())
+    provisional = replace(_report(1, 2, 0, 9_000, margin=500, is_ongoing=True), error_ns=Nanoseconds(900 * _MS))
+    final = replace(_report(1, 2, 100, 8_400, margin=500), error_ns=Nanoseconds(5 * _MS))
+    (first,), (last,) = merger.merge(provisional), merger.merge(final)
+    assert [first.is_ongoing, last.is_ongoing] == [True, False]
+    beyond = replace(_report(1, 2, 100, 9_500, margin=500, is_ongoing=True), error_ns=Nanoseconds(5 * _MS))
+    assert [record.is_ongoing for record in merger.merge(beyond)] == [True]
