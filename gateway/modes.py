@@ -123,8 +123,11 @@ class ModeTracker:
         return self._record(node, spells[-1]) if spells else None
 
     def restore(self, records: Iterable[ModeRecord]) -> None:
-        """Remember records of the journal, given in the order of their offsets, before any report is taken."""
-        newest = {(record.boot, record.sequence): record for record in records}
+        """Remember records of the journal, given in the order of their offsets, before any report is taken.
+
+        One of an earlier name of the journal is another history's, and is not revised in this one.
+        """
+        newest = {(record.boot, record.sequence): record for record in records if record.journal == self.issuer.journal}
 
         def start_of(record: ModeRecord) -> int:
             return self.issuer.to_own_monotonic_ns(record.t_start_ns, anchor_ns=record.wall_anchor_ns)

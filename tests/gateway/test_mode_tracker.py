@@ -73,6 +73,17 @@ def test_the_open_spell_survives_a_restart_of_the_gateway() -> None:
     assert begun.boot == 2
 
 
+def test_a_spell_of_another_history_is_begun_anew_and_never_revised() -> None:
+    before = ModeTracker(issuer=an_issuer())
+    records = before.observe(_report(5_000, Mode.S))
+    issuer = an_issuer(boot=2)
+    issuer.journal = "renamed"
+    after = ModeTracker(issuer=issuer)
+    after.restore(records)
+    (begun,) = after.observe(_report(5_000, Mode.S))
+    assert (begun.journal, begun.boot, begun.revision) == ("renamed", 2, 0)
+
+
 def test_a_backpack_that_restarts_ends_the_spell_of_its_last_life() -> None:
     tracker = ModeTracker(issuer=an_issuer())
     tracker.observe(_report(60_000, Mode.S))
