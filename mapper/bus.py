@@ -5,6 +5,7 @@ Zenoh calls back on threads of its own. Callbacks only put bytes into a bounded 
 
 import asyncio
 import json
+import random
 import threading
 from collections import Counter, deque
 from collections.abc import AsyncGenerator
@@ -42,6 +43,11 @@ _MAX_INBOX_BYTES: Final = 64 * 2**20
 # Zenoh answers a query that nobody ends with this error (measured, eclipse-zenoh 1.10).
 _TIMEOUT_PAYLOAD: Final = b"Timeout"
 _DEADLINE_SLACK_S: Final = 2.0
+# A session that was just connected learns within this who is alive; one that was killed is alive until its lease of 10 s is over.
+_SETTLE_S: Final = 1.5
+_PATIENCE_S: Final = 15.0
+_LOOK_EVERY_S: Final = 0.1
+_ALIVE_TIMEOUT_S: Final = 1.0
 
 _JOURNALED: Final = (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
 
@@ -84,7 +90,6 @@ class Bus:
         listen: tuple[str, ...],
         tls: TlsTable | None = None,
         timing: ZenohTable | None = None,
-        name: str = "mapper1",
     ) -> Self:
         """Join the bus; gateways and routers that are not there yet are connected to when they come.
 
@@ -97,7 +102,7 @@ class Bus:
         try:
             config = _session_config(connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing)
             bus._session = await asyncio.to_thread(zenoh.open, config)
-            await asyncio.to_thread(bus._declare, name)
+            await asyncio.to_thread(bus._declare)
         except zenoh.ZError as error:
             raise BusError(
                 reason=f"Zenoh refuses connect={list(connect)}, listen={list(listen)}: {_first_sentence(error)}",
@@ -113,6 +118,41 @@ class Bus:
     def is_connected(self) -> bool:
         """Say whether any gateway or router is connected."""
         return bool(self._session.info.transports())
+
+    async def claim(self, name: str, *, settle_s: float = _SETTLE_S, patience_s: float = _PATIENCE_S) -> None:
+        """Be alive under a name, once somebody is connected and nobody else has been alive under it for ``settle_s`` to twice that.
+
+        Gateways keep what a mapper of that name lacks: two would pass for one, and the records of the one that lags would be dropped.
+
+        Raises
+        ------
+        BusError
+            Somebody else is alive under it, and still is after ``patience_s``: a mapper that was killed may be for a while.
+        """
+        key = build_token_key(site=self._site, kind=Kind.MAPPER, name=name)
+        liveliness = self._session.liveliness()
+
+        def is_taken() -> bool:
+            return any(reply.ok is not None for reply in liveliness.get(key, timeout=_ALIVE_TIMEOUT_S))
+
+        settle_s *= random.uniform(1, 2)  # two that come to be connected at one moment are not to claim it at one moment
+        free_since = taken_since = None
+        while free_since is None or self._loop.time() - free_since < settle_s:
+            now = self._loop.time()
+            if not self.is_connected:
+                free_since = taken_since = None
+            elif await asyncio.to_thread(is_taken):
+                if taken_since is None:
+                    _log.warning("bus.name_taken", name=name)
+                free_since, taken_since = None, taken_since or now
+                if now - taken_since >= patience_s:
+                    raise BusError(
+                        reason=f"a mapper named {name!r} is alive at site {self._site!r} already", next_step="give this one another --name"
+                    )
+            else:
+                free_since, taken_since = free_since or now, None
+            await asyncio.sleep(_LOOK_EVERY_S)
+        self._declared.append(await asyncio.to_thread(liveliness.declare_token, key))
 
     async def receive(self) -> list[Arrival]:
         """Wait until something came in, and return all of it in order of arrival; what cannot be meant is counted and left out."""
@@ -202,7 +242,7 @@ class Bus:
         except zenoh.ZError as error:
             raise QueryError(key=key, reason=_first_sentence(error), is_timeout=False) from error
 
-    def _declare(self, name: str) -> None:
+    def _declare(self) -> None:
         def pattern(stream: Stream, *, node: str | None = None) -> str:
             return build_key(site=self._site, stream=stream, gateway=ANY, node=node)
 
@@ -226,8 +266,6 @@ class Bus:
         )
         for key in seen:
             self._declared.append(self._session.liveliness().declare_subscriber(key, self._on_presence, history=True))
-        own = build_token_key(site=self._site, kind=Kind.MAPPER, name=name)
-        self._declared.append(self._session.liveliness().declare_token(own))
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:

@@ -3,8 +3,7 @@
 import sqlite3
 from dataclasses import dataclass
 
-from firmware_protocol.contract.records import EncounterRecord, decode_journal_record
-from firmware_protocol.units import BootId
+from firmware_protocol.contract.records import EncounterRecord, RecordIdentity, decode_journal_record
 from mapper.record_columns import wall_interval
 from mapper.site_view import SiteView
 
@@ -16,7 +15,7 @@ class JointEncounter:
     t_start_ns: int
     t_end_ns: int
     is_reciprocal: bool
-    identities: tuple[tuple[str, BootId, int], ...]
+    identities: tuple[RecordIdentity, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -111,20 +111,29 @@ class Intake:
         if batches:
             await self._apply(batches)
 
-    async def _apply(self, batches: Sequence[RecordBatch]) -> Applied:
+    async def _write(self, writing: Awaitable[_ResultT]) -> _ResultT | None:
+        """Wait until the store has written something; None where it could not, which is a fault until it has written again."""
         try:
-            applied = await self._records.call(Store.apply, batches)
+            written = await writing
         except StoreError as error:
             self.counters["store_faults"] += 1
             if self.store_fault is None:
                 _log.error("store.fault", reason=str(error))
                 self._records.refused_since_ns = time.time_ns()
             self.store_fault = str(error)
-            return Applied()
+            return None
         if self.store_fault is not None:
             _log.warning("store.fault_over", faults=self.counters["store_faults"])
             self.store_fault = None
             self._records.refused_since_ns = None
+        return written
+
+    async def _apply(self, batches: Sequence[RecordBatch]) -> Applied:
+        if not any(batch.records for batch in batches):
+            return Applied()  # a store that had nothing to write has not shown that it can
+        applied = await self._write(self._records.call(Store.apply, batches))
+        if applied is None:
+            return Applied()
         self.counters.update(new=applied.n_new, revised=applied.n_revised, repeated=applied.n_repeated, unfit=applied.n_unfit)
         if applied.has_changed:
             self._tell(batches)
@@ -168,17 +177,18 @@ class Intake:
                 continue
             backoff_s = await self._repair(gateway)
 
+    async def _give_up(self, gateway: str, journal: str, first: int, last: int) -> bool:
+        """Have the store look for offsets no more; say whether it could write that."""
+        return await self._write(self._records.call(Store.give_up, gateway=gateway, journal=journal, first=first, last=last)) is not None
+
     async def _expire(self, gateway: str) -> tuple[int, int] | None:
         """Count what is missing and no longer in the gateway's journal as expired; return what is missing then."""
         journal = self._journals[gateway]
         name, oldest = journal.name, journal.oldest_offset
-        while (hole := await self._hole(gateway)) is not None and hole[0] < oldest and self.store_fault is None:
+        while (hole := await self._hole(gateway)) is not None and hole[0] < oldest:
             first, last = hole[0], min(hole[1], oldest - 1)
             n_before = await self._records.call(Store.watermark, gateway=gateway, journal=name)
-            try:
-                await self._records.call(Store.give_up, gateway=gateway, journal=name, first=first, last=last)
-            except StoreError as error:
-                _log.warning("history.expired_unsaved", gateway=gateway, reason=str(error))
+            if not await self._give_up(gateway, name, first, last):
                 break
             self.counters["expired"] += last - first + 1
             _log.error("history.expired", gateway=gateway, journal=name, first=first, last=last)
@@ -211,6 +221,8 @@ class Intake:
         wait_s = 1.0
         n_before = self.counters["repaired"]
         while (hole := await self._expire(gateway)) and self._journals[gateway].name == journal:
+            if hole[0] < self._journals[gateway].oldest_offset:
+                return wait_s  # they have expired, and the store could not write that
             try:
                 # One more than what is missing: if that comes and the missing do not, the gateway does not have them.
                 asked = self._bus.fetch_history(gateway, from_offset=hole[0], limit=min(_PAGE, hole[1] - hole[0] + 2))
@@ -230,11 +242,11 @@ class Intake:
                 continue
             n_asked_in_vain += 1
             last = max((record.offset for batch in batches for record in batch.records), default=0)
-            if last > hole[1] and n_asked_in_vain >= _ASKED_BEFORE_GIVING_UP and self.store_fault is None:
-                # The gateway has what follows, but not these: asking again would not bring them.
+            # A gateway that has what follows, but not these, will not bring them when it is asked again.
+            is_in_vain = last > hole[1] and n_asked_in_vain >= _ASKED_BEFORE_GIVING_UP and self.store_fault is None
+            if is_in_vain and await self._give_up(gateway, journal, *hole):
                 _log.warning("history.hole", gateway=gateway, journal=journal, first=hole[0], last=hole[1])
                 self.counters["given_up"] += hole[1] - hole[0] + 1
-                await self._records.call(Store.give_up, gateway=gateway, journal=journal, first=hole[0], last=hole[1])
                 n_asked_in_vain = 0
                 continue
             if not batches:

@@ -1,7 +1,7 @@
 """Which records have which rows, and how they get there: many at a time, each identity once, in its highest revision.
 
-What a group of records needs to know of those before it is asked for in one statement for each start of a gateway, and what it changes is
-written in two: a statement for each record would cost several times as much.
+What a group of records needs to know of those before it is asked for in one statement for each start in a gateway's journal, and what it
+changes is written in two: a statement for each record would cost several times as much.
 """
 
 import json
@@ -15,13 +15,13 @@ Fresh: TypeAlias = tuple[int, int, JournalRecord]
 """Row, number of the change, and the record that brought it about."""
 
 _Start: TypeAlias = tuple[int, int]
-"""Number of a gateway, and the boot of one of its starts."""
+"""Number of a gateway's journal, and the boot of one of the starts in it."""
 
 _FIND: Final = """
 SELECT sequence, id, revision, kind FROM record
-WHERE gateway = ? AND boot = ? AND sequence IN (SELECT value FROM json_each(?))
+WHERE source = ? AND boot = ? AND sequence IN (SELECT value FROM json_each(?))
 """
-_INSERT: Final = "INSERT INTO record (id, gateway, boot, sequence, revision, kind, change, body) VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+_INSERT: Final = "INSERT INTO record (id, source, boot, sequence, revision, kind, change, body) VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
 _UPDATE: Final = "UPDATE record SET revision = ?, change = ?, body = ? WHERE id = ?"
 
 
@@ -40,7 +40,8 @@ class RecordRows:
         Parameters
         ----------
         records
-            Number of the gateway, kind, and the record, in the order in which they came. One of another kind than before is left out.
+            Number of the gateway's journal, kind, and the record, in the order in which they came. One of another kind than before is left
+            out.
         change
             Number of the last change before these.
 
@@ -53,8 +54,8 @@ class RecordRows:
         fresh: list[Fresh] = []
         last: dict[int, tuple[int, int, int, JournalRecord]] = {}
         next_row = self.last + 1
-        for gateway, kind, record in records:
-            rows = known[gateway, record.boot]
+        for source, kind, record in records:
+            rows = known[source, record.boot]
             before = rows.get(record.sequence)
             if before is None:
                 row = next_row
@@ -65,7 +66,7 @@ class RecordRows:
                 continue
             change += 1
             rows[record.sequence] = (row, record.revision, kind)
-            last[row] = (gateway, kind, change, record)
+            last[row] = (source, kind, change, record)
             fresh.append((row, change, record))
         self._put(last)
         return fresh
@@ -75,21 +76,21 @@ class RecordRows:
         if fresh:
             self.last = max(self.last, *(row for row, _, _ in fresh))
         newest = self._newest
-        for gateway, _, record in records:
-            start: _Start = (gateway, record.boot)
+        for source, _, record in records:
+            start: _Start = (source, record.boot)
             newest[start] = max(newest[start], record.sequence)
 
     def _find(self, records: Sequence[tuple[int, int, JournalRecord]]) -> dict[_Start, dict[int, tuple[int, int, int]]]:
         """Return row, revision and kind of those of the records' identities that are known, by start and sequence number."""
         wanted: dict[_Start, list[int]] = {}
         newest = self._newest
-        for gateway, _, record in records:
-            start: _Start = (gateway, record.boot)
+        for source, _, record in records:
+            start: _Start = (source, record.boot)
             sequences = wanted.get(start)
             if sequences is None:
                 sequences = wanted[start] = []
                 if start not in newest:
-                    query = "SELECT coalesce(max(sequence), -1) FROM record WHERE gateway = ? AND boot = ?"
+                    query = "SELECT coalesce(max(sequence), -1) FROM record WHERE source = ? AND boot = ?"
                     (newest[start],) = self._db.execute(query, start).fetchone()
             if record.sequence <= newest[start]:
                 sequences.append(record.sequence)
@@ -102,8 +103,8 @@ class RecordRows:
     def _put(self, last: dict[int, tuple[int, int, int, JournalRecord]]) -> None:
         first_new = self.last + 1
         inserts = [
-            (row, gateway, record.boot, record.sequence, record.revision, kind, change, encode_journal_record(record))
-            for row, (gateway, kind, change, record) in last.items()
+            (row, source, record.boot, record.sequence, record.revision, kind, change, encode_journal_record(record))
+            for row, (source, kind, change, record) in last.items()
             if row >= first_new
         ]
         updates = [

@@ -69,25 +69,26 @@ def load_encounters(database: sqlite3.Connection, *, kind: int) -> Iterator[Load
     -----
     Rows whose numbers fit no column are left out, and the log says how many: a store opens whatever an earlier version let into it.
     """
-    names: Mapping[int, str] = dict(database.execute("SELECT id, name FROM gateway").fetchall())
-    cursor = database.execute("SELECT id, change, gateway, body FROM record WHERE +kind = ? ORDER BY id", (kind,))
+    query = "SELECT source.id, name FROM source JOIN gateway ON gateway.id = source.gateway"
+    names: Mapping[int, str] = dict(database.execute(query).fetchall())
+    cursor = database.execute("SELECT id, change, source, body FROM record WHERE +kind = ? ORDER BY id", (kind,))
     n_left_out = 0
     while chunk := cursor.fetchmany(_CHUNK):
-        rows, changes, gateways, bodies = (tuple(column) for column in zip(*chunk, strict=True))
+        rows, changes, sources, bodies = (tuple(column) for column in zip(*chunk, strict=True))
         records = _decode(bodies)
         try:
             encounters = _make_rows(rows, records)
         except OverflowError:
-            placed = [(*place, _on_wall_clock(record)) for *place, record in zip(rows, changes, gateways, records, strict=True)]
-            fit = [(row, change, gateway, record) for row, change, gateway, record in placed if record is not None]
+            placed = [(*place, _on_wall_clock(record)) for *place, record in zip(rows, changes, sources, records, strict=True)]
+            fit = [(row, change, source, record) for row, change, source, record in placed if record is not None]
             n_left_out += len(placed) - len(fit)
-            rows, changes, gateways = (tuple(one[column] for one in fit) for column in range(3))
+            rows, changes, sources = (tuple(one[column] for one in fit) for column in range(3))
             records = [record for *_, record in fit]
             encounters = _make_rows(rows, records)
         yield LoadedEncounters(
             rows=encounters,
             changes=np.array(changes, dtype=np.int64),
-            _gateways=[names[gateway] for gateway in gateways],
+            _gateways=[names[source] for source in sources],
             _records=records,
         )
     if n_left_out:

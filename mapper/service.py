@@ -5,6 +5,7 @@ import asyncio
 import contextlib
 import ipaddress
 import os
+import secrets
 import signal
 import socket
 import sys
@@ -127,8 +128,8 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         records = await StoreThread.open(Path(serve.store) if serve.store is not None else None)
         stack.push_async_callback(records.aclose)
         certified = None if facts is None else parse_identity(facts.common_name).name
-        name = serve.name or certified or records.name or "mapper"
-        bus = await Bus.open(site=serve.site, connect=serve.connect, listen=serve.listen, tls=config.tls, timing=config.zenoh, name=name)
+        name = serve.name or certified or records.name or f"mapper-{secrets.token_hex(4)}"
+        bus = await Bus.open(site=serve.site, connect=serve.connect, listen=serve.listen, tls=config.tls, timing=config.zenoh)
         stack.push_async_callback(bus.aclose)
         watch = ConnectionWatch(is_connected=lambda: bus.is_connected, connect=serve.connect, tls=config.tls, facts=facts)
         changes, fleet = Changes(), Fleet()

@@ -90,7 +90,6 @@ class KeptMap:
 @dataclass(slots=True)
 class _Source:
     id: int
-    gateway_id: int
     offsets: OffsetSet
     has_spans: bool = False
     """There are ranges beyond the watermark in the file."""
@@ -204,13 +203,20 @@ class Store:
         offsets = source.offsets if source else OffsetSet()
         return offsets.first_hole(up_to=max(head_offset, offsets.last))
 
-    def give_up(self, *, gateway: str, journal: str, first: int, last: int) -> None:
-        """Count offsets as arrived that the gateway itself does not have any more."""
+    def give_up(self, *, gateway: str, journal: str, first: int, last: int) -> int:
+        """Count offsets as arrived that the gateway itself does not have any more; return the watermark.
+
+        Raises
+        ------
+        StoreError
+            The file cannot be written; they are missing as before.
+        """
         with self._transaction():
             source = self._copy_source(gateway, journal)
             source.offsets.add(first, last)
             self._save_source(source)
         self._sources[gateway, journal] = source
+        return source.offsets.watermark
 
     def delta(self, *, after: int) -> StoreDelta:
         """Return what has changed after a change, for a `Replica`; after 0, everything.
@@ -282,8 +288,7 @@ class Store:
         # An unfit record counts as arrived, or the gap would be asked for again for ever.
         for first, last in _runs(records):
             source.offsets.add(first, last)
-        gateway = source.gateway_id
-        fit = [(gateway, _KINDS[type(record)], record) for record in records if is_fit(record)]
+        fit = [(source.id, _KINDS[type(record)], record) for record in records if is_fit(record)]
         into += fit
         return len(batch.records) - len(fit)
 
@@ -311,11 +316,11 @@ class Store:
         self._site.open(gateways=gateways, change=max(newest))
         self._progress = StoreProgress(n_encounters=self.n_encounters, change=max(newest))
         self._settle_clocks()
-        query = "SELECT source.id, gateway.id, name, journal, watermark FROM source JOIN gateway ON gateway.id = source.gateway"
-        for source_id, gateway_id, name, journal, watermark in self._db.execute(query).fetchall():
+        query = "SELECT source.id, name, journal, watermark FROM source JOIN gateway ON gateway.id = source.gateway"
+        for source_id, name, journal, watermark in self._db.execute(query).fetchall():
             spans = self._db.execute("SELECT first, last FROM span WHERE source = ?", (source_id,)).fetchall()
             offsets = OffsetSet(watermark=watermark, spans=spans)
-            self._sources[name, journal] = _Source(id=source_id, gateway_id=gateway_id, offsets=offsets, has_spans=bool(spans))
+            self._sources[name, journal] = _Source(id=source_id, offsets=offsets, has_spans=bool(spans))
 
     def _read_encounters(self) -> Iterator[LoadedEncounters]:
         try:
@@ -347,13 +352,13 @@ class Store:
         known = self._sources.get((gateway, journal))
         if known:
             offsets = OffsetSet(watermark=known.offsets.watermark, spans=known.offsets.spans)
-            return _Source(id=known.id, gateway_id=known.gateway_id, offsets=offsets, has_spans=known.has_spans)
+            return _Source(id=known.id, offsets=offsets, has_spans=known.has_spans)
         self._db.execute("INSERT INTO gateway (name) VALUES (?) ON CONFLICT DO NOTHING", (gateway,))
         (gateway_id,) = self._db.execute("SELECT id FROM gateway WHERE name = ?", (gateway,)).fetchone()
         (source_id,) = self._db.execute(
             "INSERT INTO source (gateway, journal, watermark) VALUES (?, ?, 0) RETURNING id", (gateway_id, journal)
         ).fetchone()
-        return _Source(id=source_id, gateway_id=gateway_id, offsets=OffsetSet())
+        return _Source(id=source_id, offsets=OffsetSet())
 
     def _save_source(self, source: _Source) -> None:
         self._db.execute("UPDATE source SET watermark = ? WHERE id = ?", (source.offsets.watermark, source.id))

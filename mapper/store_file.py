@@ -5,12 +5,14 @@ import sqlite3
 from pathlib import Path
 from typing import Final
 
+import msgspec
+
 from firmware_protocol.errors import RecordError
 from mapper.errors import StoreError
 
 APPLICATION_ID: Final = 0x42494F42
 """In the header of every file of ours: "BIOB"."""
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 
 # The steps by which a file comes to each version from the one before; an empty file takes all of them.
 _STEPS: Final = {
@@ -51,7 +53,38 @@ CREATE TABLE finished_map (
   document BLOB NOT NULL
 );
 """,
+    # Two journals of one gateway may number their starts and records alike: whose a record is, its body says.
+    3: """
+INSERT OR IGNORE INTO source (gateway, journal, watermark) SELECT DISTINCT gateway, journal_of(body), 0 FROM record;
+CREATE TABLE record_of_source (
+  id INTEGER PRIMARY KEY,
+  source INTEGER NOT NULL REFERENCES source (id),
+  boot INTEGER NOT NULL,
+  sequence INTEGER NOT NULL,
+  revision INTEGER NOT NULL,
+  kind INTEGER NOT NULL,
+  change INTEGER NOT NULL,
+  body BLOB NOT NULL,
+  UNIQUE (source, boot, sequence)
+);
+INSERT INTO record_of_source
+SELECT record.id, source.id, boot, sequence, revision, kind, change, body
+FROM record CROSS JOIN source ON source.gateway = record.gateway AND source.journal = journal_of(body)
+ORDER BY record.id;
+DROP TABLE record;
+ALTER TABLE record_of_source RENAME TO record;
+CREATE UNIQUE INDEX record_by_change ON record (kind, change);
+""",
 }
+
+
+class _OfJournal(msgspec.Struct, frozen=True, gc=False):
+    """The field of a record that says which journal it is of."""
+
+    journal: str
+
+
+_of_journal = msgspec.msgpack.Decoder(_OfJournal)
 
 
 def open_store_file(path: Path | None) -> sqlite3.Connection:
@@ -137,11 +170,19 @@ def _prepare(database: sqlite3.Connection, *, path: str) -> None:
         raise _foreign(path)
     elif not 1 <= version <= SCHEMA_VERSION:
         raise _too_new(path, version)
+    database.create_function("journal_of", 1, _journal_of, deterministic=True)
     for step in range(version + 1, SCHEMA_VERSION + 1):
         for statement in _STEPS[step].split(";"):
             database.execute(statement)
         database.execute(f"PRAGMA user_version = {step}")
     database.execute("COMMIT")
+
+
+def _journal_of(body: bytes) -> str:
+    try:
+        return _of_journal.decode(body).journal
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return ""  # whoever reads the record says that it is damaged
 
 
 def _refuse_foreign_file(path: Path) -> None:

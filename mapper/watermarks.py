@@ -15,7 +15,10 @@ _PERIOD_S: Final = 3.0
 
 
 class Watermarks:
-    """Publishes what the store has; ``run`` is its task. A store in memory has nothing: it tells nobody."""
+    """Publishes what the store has, under a name that is this mapper's alone; ``run`` is its task.
+
+    A store in memory has nothing: it tells nobody.
+    """
 
     def __init__(self, *, bus: Bus, records: StoreThread, name: str, period_s: float = _PERIOD_S) -> None:
         self._bus = bus
@@ -24,7 +27,14 @@ class Watermarks:
         self._period_s = period_s
 
     async def run(self) -> None:
-        """Tell every few seconds, until cancelled."""
+        """Be alive under the name of this mapper, and tell every few seconds, until cancelled.
+
+        Raises
+        ------
+        BusError
+            Another mapper is alive under that name.
+        """
+        await self._bus.claim(self._name)
         is_faulty = False
         while True:
             await asyncio.sleep(self._period_s)

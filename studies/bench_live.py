@@ -19,7 +19,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_protocol.contract.records import EncounterRecord, JournalRecord
+from firmware_protocol.contract.records import EncounterRecord, JournalRecord, RecordIdentity
 from gateway.journal_file import JournalReader
 from mapper.store import Store
 from studies.link_tap import LinkTap
@@ -160,7 +160,7 @@ def _is_level(url: str) -> bool:
 
 def _count_lost(path: Path, journals: Sequence[Path]) -> tuple[int, int]:
     """Count the records in journals, and the encounters there whose newest revision the store lacks."""
-    newest: dict[tuple[str, int, int], int] = {}
+    newest: dict[RecordIdentity, int] = {}
     n_records = 0
     for journal in journals:
         with closing(JournalReader(journal)) as reader:

@@ -1,7 +1,7 @@
 """The records on the bus: what gateway and mapper both mean (CONTRACT.md §3 and §4).
 
-Journaled records (encounters, modes, mission phases) share a head: an identity ``(gateway, boot, sequence)`` that never
-changes, a revision that grows with each correction, and an offset in the gateway's journal without gaps. Readers ignore
+Journaled records (encounters, modes, mission phases) share a head: an identity ``(gateway, journal, boot, sequence)`` that
+never changes, a revision that grows with each correction, and an offset in the gateway's journal without gaps. Readers ignore
 unknown fields, so a field can be added without a new version. Instants are integer nanoseconds.
 """
 
@@ -16,6 +16,9 @@ from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
 _Offset = Annotated[int, msgspec.Meta(ge=1)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 _Node = Annotated[NodeId, msgspec.Meta(ge=0)]  # decoding refuses what has more than 64 bits
+
+RecordIdentity: TypeAlias = tuple[str, str, BootId, int]
+"""Gateway, journal, boot and sequence: two journals of one gateway may number their starts alike."""
 
 
 class Mode(Enum):
@@ -97,9 +100,9 @@ class RecordHead(Struct, frozen=True, kw_only=True):
     wall_anchor_ns: Nanoseconds
 
     @property
-    def identity(self) -> tuple[str, BootId, int]:
+    def identity(self) -> RecordIdentity:
         """The name of the thing recorded, the same for all its revisions."""
-        return (self.gateway, self.boot, self.sequence)
+        return (self.gateway, self.journal, self.boot, self.sequence)
 
 
 class EncounterRecord(RecordHead, frozen=True, kw_only=True, tag="encounter"):

@@ -149,6 +149,7 @@ class RecordName(_Answer):
     """The identity of a record."""
 
     gateway: str
+    journal: str
     boot: int
     sequence: int
 
@@ -167,6 +168,7 @@ class EncounterItem(_Answer):
     """An encounter in its newest revision; instants are on the site's wall clock [ns since 1970, UTC]."""
 
     gateway: str
+    journal: str
     boot: int
     sequence: int
     revision: int

@@ -118,6 +118,7 @@ def view_encounter(record: EncounterRecord, *, shift_ns: int, bound_ns: int, joi
     """Describe an encounter, its instants on the site's wall clock: that of its gateway and ``shift_ns``, wrong by up to ``bound_ns``."""
     return {
         "gateway": record.gateway,
+        "journal": record.journal,
         "boot": record.boot,
         "sequence": record.sequence,
         "revision": record.revision,
@@ -140,7 +141,10 @@ def _view_joint(joint: JointEncounter, record: EncounterRecord) -> dict[str, obj
         "t_start_wall_ns": joint.t_start_ns,
         "t_end_wall_ns": joint.t_end_ns,
         "is_reciprocal": joint.is_reciprocal,
-        "records": [{"gateway": gateway, "boot": boot, "sequence": sequence} for gateway, boot, sequence in joint.identities],
+        "records": [
+            {"gateway": gateway, "journal": journal, "boot": boot, "sequence": sequence}
+            for gateway, journal, boot, sequence in joint.identities
+        ],
     }
 
 

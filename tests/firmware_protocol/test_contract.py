@@ -123,7 +123,7 @@ def test_the_example_of_the_contract_is_a_batch() -> None:
 
     assert match
     batch = decode_record(msgspec.msgpack.encode(json.loads(match[1])), RecordBatch)
-    assert batch.records[0].identity == ("base1", 1795400000, 11)
+    assert batch.records[0].identity == ("base1", "5f0c9a31", 1795400000, 11)
 
 
 def test_every_stream_is_in_the_contract() -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Callable
+from contextlib import AsyncExitStack
 from pathlib import Path
 
 import msgspec
@@ -88,17 +89,46 @@ def test_a_mapper_that_comes_late_and_a_gateway_that_comes_late_both_end_level()
     asyncio.run(story())
 
 
-def test_offsets_that_the_gateway_does_not_have_are_given_up_after_asking_again() -> None:
+def test_offsets_that_the_gateway_does_not_have_are_given_up_after_asking_again_once_the_disk_takes_it(tmp_path: Path) -> None:
     async def story() -> None:
         port = free_port()
         with FakeGateway(port=port) as gateway:
             gateway.journal_records([encounter(n) for n in (1, 2, 6, 7)])
-            async with mapper_side(port) as side:
+            async with mapper_side(port, store=tmp_path / "store") as side:
                 await until(lambda: side.bus.is_connected and gateway.is_heard)
+                # A disk that is full for this one write and for none before it.
+                full = "BEFORE UPDATE ON source WHEN new.watermark = 7 BEGIN SELECT RAISE(ABORT, 'database or disk is full'); END"
+                await side.records.call(lambda store: store._db.execute(f"CREATE TEMP TRIGGER full {full}"))
                 gateway.publish_status()
+                await until(lambda: "make room on the disk" in (side.intake.store_fault or ""))
+                assert side.intake.counters["given_up"] == 0
+                await side.records.call(lambda store: store._db.execute("DROP TRIGGER full"))
                 await side.until(level(7))
                 assert side.intake.counters["given_up"] == 3
+                assert side.intake.store_fault is None
                 assert sum(request.from_offset == 3 for request in gateway.history_requests) >= 3
+
+    asyncio.run(story())
+
+
+def test_no_two_mappers_are_alive_under_one_name() -> None:
+    async def story() -> None:
+        port = free_port()
+        async with AsyncExitStack() as stack:
+
+            async def join(*, connect: tuple[str, ...] = (), listen: tuple[str, ...] = ()) -> Bus:
+                bus = await Bus.open(site=SITE, connect=connect, listen=listen)
+                stack.push_async_callback(bus.aclose)
+                return bus
+
+            await join(listen=(f"tcp/127.0.0.1:{port}",))
+            first, second, third = [await join(connect=(f"tcp/127.0.0.1:{port}",)) for _ in range(3)]
+            await first.claim("m1", settle_s=0.5)
+            with pytest.raises(BusError, match="'m1' is alive at site 'local' already; give this one another --name"):
+                await second.claim("m1", settle_s=10, patience_s=0.3)
+            waiting = asyncio.create_task(third.claim("m1", settle_s=0.5))
+            await first.aclose()
+            await waiting  # as after one that was killed: its name is free in the end
 
     asyncio.run(story())
 

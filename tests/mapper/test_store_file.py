@@ -58,6 +58,32 @@ def test_a_store_of_the_first_version_is_brought_up_to_date_with_all_it_has(tmp_
         assert database.execute("PRAGMA user_version").fetchone() == (SCHEMA_VERSION,)
 
 
+def test_records_that_journals_of_one_gateway_number_alike_are_all_kept_and_stay_whose_they_are(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    write_version_1(path)
+    # Of a journal whose start fell into the same second; version 1 took this for a correction of the other's first record.
+    other: JournalRecord = encounter(1, journal="journal2", revision=1, nodes=(8, 9))
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("UPDATE record SET revision = 1, change = 4, body = ? WHERE sequence = 1", (encode_journal_record(other),))
+        database.commit()
+    with closing(Store(path)) as store:
+        applied = store.apply([batch([encounter(1)]), batch([other, encounter(2, journal="journal2")], journal="journal2")])
+        assert (applied.n_new, applied.n_revised, applied.n_repeated) == (2, 0, 1)
+    for _ in range(2):
+        with closing(Store(path)) as store:
+            records = store.encounters(after=0, limit=10).records
+            assert {record.identity: record.node_a for record in records} == {
+                ("gateway1", "journal1", BOOT, 1): 1,
+                ("gateway1", "journal1", BOOT, 5): 1,
+                ("gateway1", "journal2", BOOT, 1): 8,
+                ("gateway1", "journal2", BOOT, 2): 1,
+            }
+            assert [record.node for record in store.latest_modes()] == [2**64 - 1]
+            assert store.n_encounters == 4
+            assert store.watermark(gateway="gateway1", journal="journal2") == 2
+            assert store.first_hole(gateway="gateway1", journal="journal1", head_offset=5) == (3, 4)
+
+
 def test_killed_while_it_is_brought_up_to_date_a_store_is_of_one_version_or_the_other(tmp_path: Path) -> None:
     """What is done in one transaction is done whole; here the last step before its end is left out."""
     path = tmp_path / "store.db"

@@ -27,8 +27,8 @@ def test_a_small_load_goes_through_a_gateway_and_a_store_that_lacks_a_part_of_it
     assert check_store(fewer, tmp_path / "timetable.npz", seen=None).n_lost == 3
     store = Store(doubled)
     with store._transaction():
-        columns = "gateway, boot, sequence + 1000000, revision, kind, change + 1000000, body"
-        query = f"INSERT INTO record (gateway, boot, sequence, revision, kind, change, body) SELECT {columns} FROM record WHERE kind = 0"
+        columns = "source, boot, sequence + 1000000, revision, kind, change + 1000000, body"
+        query = f"INSERT INTO record (source, boot, sequence, revision, kind, change, body) SELECT {columns} FROM record WHERE kind = 0"
         store._db.execute(query + " ORDER BY id LIMIT 2")
     store.close()
     assert check_store(doubled, tmp_path / "timetable.npz", seen=None).n_duplicated == 2
