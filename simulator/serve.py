@@ -33,6 +33,7 @@ from simulator.sensed_run import sensing_config
 from simulator.serve_config import ServeConfig
 from simulator.service import Cast, Service
 from simulator.setting import Setting, choose_setting
+from simulator.swarm import check_node_numbers
 from simulator.truth import TruthRecorder
 from simulator.truth_stream import TruthStream
 from simulator.world import World
@@ -124,6 +125,7 @@ def main(args: argparse.Namespace) -> int:
         return 0
     set_up_logging()  # the setting has warnings of its own
     setting = choose_setting(config)
+    check_node_numbers(setting.ids)
     lines = parse_lines(config.links)
     with contextlib.ExitStack() as stack:
         output = open_output(stack, out=config.out, force=config.force)

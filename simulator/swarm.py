@@ -40,6 +40,12 @@ _WIRE_MODE = {Mode.CRW: WireMode.CRW, Mode.S: WireMode.S}
 _WIRE_CAUSE = {Cause.NATURAL: WireCause.NATURAL, Cause.COMMAND: WireCause.COMMAND}
 
 
+def check_node_numbers(ids: Sequence[int]) -> None:
+    """Refuse ids, given in ascending order, that are no node numbers."""
+    if ids[-1] > MAX_NODE:
+        raise ParameterError(name="biobots", got=ids[-1], wanted=f"ids up to {MAX_NODE}: a node number has 16 bits")
+
+
 class Swarm:
     """See the module. All instants are nanoseconds since the run began.
 
@@ -52,8 +58,7 @@ class Swarm:
     """
 
     def __init__(self, world: Habitat, *, config: SwarmConfig, observe: Callable[[Sequence[Event]], None]) -> None:
-        if world.ids[-1] > MAX_NODE:
-            raise ParameterError(name="biobots", got=world.ids[-1], wanted=f"ids up to {MAX_NODE}: a node number has 16 bits")
+        check_node_numbers(world.ids)
         coverage = config.coverage or CoverageConfig(places=(_middle(world),))
         self.coordinators = make_coordinators(len(coverage.places), config)
         self.reports = ReportLog(keeps_rows=config.keeps_history)

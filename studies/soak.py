@@ -26,7 +26,7 @@ from studies.system import PartFailedError, free_port
 
 _LINKS: Final = ("pty:{out}/native", "tcp:127.0.0.1:0?dialect=xbee", "tcp:127.0.0.1:0?dialect=znp")
 _FAULTS: Final = "bit-flip=1e-5,unplug=0.01,unplug-s=2,stall=0.01,stall-s=1,reset=0.005"
-_PATHS: Final = {"/api/v1/map/status": 1.0, "/healthz": 2.0, "/api/v1/map": 5.0}
+_PATHS: Final = {"/api/v1/map/status": 1.0, "/healthz": 2.0, "/api/v1/map": 3.0}
 _MAP_EVERY_S: Final = 20
 _MAX_GROWTH_MB_PER_H: Final = 2.0
 _MAX_BYTES_PER_ENCOUNTER: Final = 2_000.0

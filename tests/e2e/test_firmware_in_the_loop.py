@@ -155,7 +155,7 @@ def test_thousands_of_encounters_are_journaled_once_through_damage_noise_a_reset
             assert stages[-1]["mode"] == "S"
 
             board.reset()
-            gateway.wait_until(lambda: bool(gateway.events("radio.restarted")), what="the reset is noticed")
+            gateway.wait_until(lambda: bool(gateway.events("radio.restarted") or gateway.events("radio.down")), what="the reset is noticed")
             again = gateway.n_entries()
             gateway.wait_until(lambda: gateway.n_entries() > again + 500, what="encounters after the reset")
             counters = gateway.status()["counters"]

@@ -52,7 +52,7 @@ def modes(system: RunningSystem) -> Iterator[dict[str, str]]:
 
 
 def test_a_mission_over_a_pty_gives_a_map_with_every_encounter_once_and_a_stop_that_halts_the_insect(tmp_path: Path) -> None:
-    settings = SystemSettings(out=tmp_path, scenario="one-obstacle", seed=11, speed=8, dispersion_s=3, exploration_s=25)
+    settings = SystemSettings(out=tmp_path, scenario="one-obstacle", seed=11, speed=8, dispersion_s=3, exploration_s=18)
     with RunningSystem(settings=settings) as system:
         mission = system.wait_for(
             lambda: (found := system.get("/api/v1/mission")).get("phase") and found["phase"]["phase"] == "exploration" and found,

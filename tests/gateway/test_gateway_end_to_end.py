@@ -340,6 +340,6 @@ def test_what_cannot_be_opened_is_told_in_one_line(tmp_path: Path) -> None:
             elsewhere.mkdir()
             taken = a_config(elsewhere, "tcp:127.0.0.1:1")
             taken = type(taken)(**{name: getattr(taken, name) for name in taken.__struct_fields__} | {"listen": config.listen})
-            assert "Address already in use" in await attempt(Service(taken).run)
+            assert "another program has that port" in await attempt(Service(taken).run)
 
     asyncio.run(story())

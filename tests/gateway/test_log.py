@@ -75,10 +75,10 @@ def test_what_is_said_too_often_is_left_out_and_its_number_told_for_each_radio()
 def test_other_libraries_warnings_have_the_same_form_and_their_chatter_is_left_out() -> None:
     stream = io.StringIO()
     set_up_logging(stream=stream)
-    logging.getLogger("can.bus").info("chatter")
-    logging.getLogger("can.bus").error("it broke", exc_info=OSError(5, "gone"))
+    logging.getLogger("another.library").info("chatter")
+    logging.getLogger("another.library").error("it broke", exc_info=OSError(5, "gone"))
     (entry,) = entries(stream)
-    assert (entry["event"], entry["text"], entry["error"]) == ("log.can.bus", "it broke", "OSError: [Errno 5] gone")
+    assert (entry["event"], entry["text"], entry["error"]) == ("log.another.library", "it broke", "OSError: [Errno 5] gone")
 
 
 def test_under_journald_each_line_begins_with_its_priority(tmp_path: object) -> None:

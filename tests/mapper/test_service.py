@@ -183,7 +183,7 @@ def test_an_address_in_use_is_said_in_one_line(capsys: pytest.CaptureFixture[str
         (["--port", "0", "--window-s", "nan"], 2, "window_s is nan"),
         (["--port", "0", "--window-s", "inf"], 2, "serve.window_s is inf"),
         (["--port", "0", "--site", "a/b"], 2, "a site name has"),
-        (["--port", "0", "--connect", "nonsense"], 1, "give endpoints such as tcp/127.0.0.1:7447"),
+        (["--port", "0", "--connect", "nonsense"], 2, "such as tcp/127.0.0.1:7447"),
         (["--port", "0", "--store", "/"], 1, "is a directory"),
         (["--port", "0", "--store", "/proc/none/records.db"], 1, "there is no directory"),
         (["--port", "0", "--url-file", "/proc/none/url"], 1, "cannot write"),
