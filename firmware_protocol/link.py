@@ -282,9 +282,7 @@ class Link:
 
     def _push(self, kind: _Kind, sequence: int, payload: bytes = b"") -> None:
         frame = _HEADER.pack(kind, self._session, sequence) + payload
-        if (
-            payload or not self._frames or self._frames[-1] != frame
-        ):  # what is about to be said is not said twice, however often it was asked
+        if payload or self._frames[-1:] != [frame]:  # what is about to be said is not said twice, however often it was asked
             self._frames.append(frame)
 
     def _begin(self, session: int) -> None:

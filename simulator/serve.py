@@ -33,7 +33,7 @@ from simulator.sensed_run import sensing_config
 from simulator.serve_config import ServeConfig
 from simulator.service import Cast, Service
 from simulator.setting import Setting, choose_setting
-from simulator.swarm import check_node_numbers
+from simulator.swarm_config import check_node_numbers
 from simulator.truth import TruthRecorder
 from simulator.truth_stream import TruthStream
 from simulator.world import World

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from firmware_protocol.envelope import RadioReceived
 from firmware_protocol.messages import EncounterBatch, EncounterBatchWithPaths, WireCause, WireMode
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
-from simulator.backpacks.backpack import MAX_NODE, Acknowledged, Backpack, BeaconsChanged, Effect, Transmission
+from simulator.backpacks.backpack import Acknowledged, Backpack, BeaconsChanged, Effect, Transmission
 from simulator.backpacks.stimulator import Actuation
 from simulator.dongles.interface import Dongle
 from simulator.errors import ParameterError
@@ -25,7 +25,7 @@ from simulator.radios.sensing import SensingConfig
 from simulator.reports import ReportLog
 from simulator.steering import ExecutedActuation, Steering
 from simulator.surroundings import Surroundings
-from simulator.swarm_config import SwarmConfig, draw_clock, make_coordinators
+from simulator.swarm_config import SwarmConfig, check_node_numbers, draw_clock, make_coordinators
 
 _TICK_NS = 50 * NS_PER_MS
 _LONGEST_STEP_NS = 200 * NS_PER_MS
@@ -38,12 +38,6 @@ _EUI64_BASE = 0x00124B0000000000  # Texas Instruments' number
 
 _WIRE_MODE = {Mode.CRW: WireMode.CRW, Mode.S: WireMode.S}
 _WIRE_CAUSE = {Cause.NATURAL: WireCause.NATURAL, Cause.COMMAND: WireCause.COMMAND}
-
-
-def check_node_numbers(ids: Sequence[int]) -> None:
-    """Refuse ids, given in ascending order, that are no node numbers."""
-    if ids[-1] > MAX_NODE:
-        raise ParameterError(name="biobots", got=ids[-1], wanted=f"ids up to {MAX_NODE}: a node number has 16 bits")
 
 
 class Swarm:

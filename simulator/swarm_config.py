@@ -1,13 +1,16 @@
 """How a swarm's backpacks are made, and the clocks and coordinators that they are made with."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from firmware_protocol.units import BootId, NodeId
 from simulator import chance
+from simulator.backpacks.backpack import MAX_NODE
 from simulator.backpacks.backpack_config import BackpackConfig
 from simulator.clock import BackpackClock, DriftingClock
 from simulator.dongles.choice import DEFAULT_DIALECT, make_dongle
 from simulator.dongles.interface import Dongle
+from simulator.errors import ParameterError
 from simulator.lines.faults import FaultConfig
 from simulator.lines.faulty_dongle import with_faults
 from simulator.radios.coverage import CoverageConfig
@@ -70,6 +73,12 @@ class SwarmConfig:
     has_imu: bool = False
     dialects: tuple[str, ...] = ()
     faults: FaultConfig = field(default_factory=FaultConfig)
+
+
+def check_node_numbers(ids: Sequence[int]) -> None:
+    """Refuse ids, given in ascending order, that are no node numbers."""
+    if ids[-1] > MAX_NODE:
+        raise ParameterError(name="biobots", got=ids[-1], wanted=f"ids up to {MAX_NODE}: a node number has 16 bits")
 
 
 def draw_clock(node: NodeId, config: SwarmConfig) -> BackpackClock:
