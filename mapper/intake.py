@@ -57,8 +57,9 @@ class Intake:
     def __init__(self, *, bus: Bus, records: StoreThread, fleet: Fleet, changes: Changes) -> None:
         self.counters: Counter[str] = Counter()
         self.store_fault: str | None = None
-        self.expiries: dict[str, str] = {}
-        """Gateways' names to what was lost of their journals, of which this store had a part already."""
+        self.losses: dict[tuple[str, str], str] = {}
+        """Gateway's name and the counter to what will never be here of its journal, in words: what expired, of a journal of which this store
+        had a part already, and what was given up."""
         self._bus = bus
         self._records = records
         self._fleet = fleet
@@ -193,7 +194,7 @@ class Intake:
             self.counters["expired"] += last - first + 1
             _log.error("history.expired", gateway=gateway, journal=name, first=first, last=last)
             if n_before:  # a store that is new to a journal has missed its beginning, and knows it
-                self.expiries[gateway] = (
+                self.losses[gateway, "expired"] = (
                     f"records {first} to {last} of gateway {gateway} left its journal before they were here; "
                     "give its [retention] more days or more room"
                 )
@@ -247,6 +248,10 @@ class Intake:
             if is_in_vain and await self._give_up(gateway, journal, *hole):
                 _log.warning("history.hole", gateway=gateway, journal=journal, first=hole[0], last=hole[1])
                 self.counters["given_up"] += hole[1] - hole[0] + 1
+                self.losses[gateway, "given_up"] = (
+                    f"records {hole[0]} to {hole[1]} of gateway {gateway} cannot be had from its journal; "
+                    "`biobot-gateway journal check` says there what is wrong with it"
+                )
                 n_asked_in_vain = 0
                 continue
             if not batches:

@@ -150,7 +150,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             return {**intake.counters, **{f"bus_{name}": number for name, number in bus.counters.items()}, "ignored": fleet.n_ignored}
 
         def faults() -> list[str]:
-            found = [*([] if intake.store_fault is None else [intake.store_fault]), *intake.expiries.values(), *current_map.faults]
+            found = [*([] if intake.store_fault is None else [intake.store_fault]), *intake.losses.values(), *current_map.faults]
             return list(dict.fromkeys(found))
 
         services = Services(

@@ -105,6 +105,8 @@ def test_offsets_that_the_gateway_does_not_have_are_given_up_after_asking_again_
                 await side.records.call(lambda store: store._db.execute("DROP TRIGGER full"))
                 await side.until(level(7))
                 assert side.intake.counters["given_up"] == 3
+                (fault,) = side.intake.losses.values()
+                assert "cannot be had from its journal" in fault
                 assert side.intake.store_fault is None
                 assert sum(request.from_offset == 3 for request in gateway.history_requests) >= 3
 
@@ -254,7 +256,7 @@ def test_what_left_the_journal_before_it_came_is_counted_as_expired_and_nothing_
                 assert await side.n_encounters() == 20 + 11 + 30
                 assert side.intake.counters["expired"] == 29 + 10
                 assert side.intake.counters["given_up"] == 0
-                (fault,) = side.intake.expiries.values()
+                (fault,) = side.intake.losses.values()
                 assert "61 to 70" in fault
                 assert "[retention]" in fault
                 assert all(request.from_offset >= 61 for request in gateway.history_requests[1:]), "not asked for in vain"
@@ -267,7 +269,7 @@ def test_what_left_the_journal_before_it_came_is_counted_as_expired_and_nothing_
                 gateway.publish_status()
                 await side.until(level(100))
                 assert side.intake.counters["expired"] == 70
-                assert side.intake.expiries == {}, "a store that begins late has missed the beginning: no fault"
+                assert side.intake.losses == {}, "a store that begins late has missed the beginning: no fault"
 
     asyncio.run(story())
 
