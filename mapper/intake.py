@@ -58,8 +58,8 @@ class Intake:
         self.counters: Counter[str] = Counter()
         self.store_fault: str | None = None
         self.losses: dict[tuple[str, str], str] = {}
-        """Gateway's name and the counter to what will never be here of its journal, in words: what expired, of a journal of which this store
-        had a part already, and what was given up."""
+        """Gateway's name and the counter to what will never be here of its journal, in words: what expired, of a journal of which this
+        store had a part already, and what was given up."""
         self._bus = bus
         self._records = records
         self._fleet = fleet
