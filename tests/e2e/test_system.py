@@ -25,6 +25,10 @@ def all_encounters(system: RunningSystem) -> list[dict[str, Any]]:
     return records
 
 
+def is_reachable(system: RunningSystem, biobot: int) -> bool:
+    return any(one["id"] == biobot and one["is_reachable"] for one in system.get("/api/v1/biobots")["biobots"])
+
+
 def wait_for_end(system: RunningSystem) -> None:
     """Wait until the insects have stopped and all that their backpacks reported is acknowledged."""
     simulator = system.process("simulator")
@@ -61,6 +65,7 @@ def test_a_mission_over_a_pty_gives_a_map_with_every_encounter_once_and_a_stop_t
         )
         landmarks = set(mission["phase"]["landmarks"])
         walker = next(one for one in range(1, 151) if one not in landmarks)
+        system.wait_for(lambda: is_reachable(system, walker), what="that a command finds the walker", timeout_s=60)
 
         answer = system.post("/api/v1/commands", {"biobot": walker, "action": "stop", "operator": "test"})
 
