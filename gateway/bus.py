@@ -19,18 +19,16 @@ import zenoh
 import zenoh.ext
 
 from firmware_protocol.contract.access import Role, access_control
+from firmware_protocol.contract.commands import CommandStage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
 from firmware_protocol.contract.presence import Kind, build_token_key
 from firmware_protocol.contract.records import (
-    CommandStage,
     EncodedBatch,
     GatewayEvent,
     GatewayStatus,
     HistoryRequest,
     NeighbourReport,
     NodeStatus,
-    StimulationAction,
-    StimulationRequest,
     Struct,
     Watermark,
     decode_record,

@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import zenoh
 
+from firmware_protocol.contract.commands import CommandStage, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
-from firmware_protocol.contract.records import CommandStage, GatewayStatus, StimulationRequest, decode_record, encode_record
+from firmware_protocol.contract.records import GatewayStatus, decode_record, encode_record
 from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.errors import KeyExpressionError
 from gateway.bus_session import open_client

@@ -1,10 +1,10 @@
 """What the gateway's configuration may say; ``config_loading`` builds it, once at start, and it is handed down."""
 
-from enum import Enum
 from typing import Annotated, Literal
 
 import msgspec
 
+from firmware_protocol.contract.commands import WaveformName
 from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.messages import OWN_CHANNEL
 
@@ -74,14 +74,6 @@ class ClockTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     window_s: _Seconds = 300.0
 
 
-class WaveformName(Enum):
-    """Shape of one pulse; see WIRE_FORMAT.md §6.5."""
-
-    SYMMETRIC = "symmetric"
-    ASYMMETRIC = "asymmetric"
-    MONOPHASIC = "monophasic"
-
-
 class StimulationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What may be done to an animal, and how long an answer is waited for.
 
@@ -91,25 +83,41 @@ class StimulationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         Limits for each biobot: pause between two trains; and in any window, how many trains and how much stimulation.
         A stop is a train too: it is never refused, and counts for what follows.
         They may be made stricter than the defaults, never looser.
+    min_frequency_hz, max_frequency_hz, max_amplitude_mv, max_pulse_width_us, max_duration_ms, allows_unbalanced
+        Limits of every train, whoever asks for it. Published for cockroaches: 50 to 55 Hz, 2 V and half a second (Erickson et al., PLoS ONE
+        2015, e0134348; RoboRoach), 1 to 9 ms a phase (RoboRoach). allows_unbalanced: waveform monophasic may be asked for.
     frequency_hz, amplitude_mv, pulse_width_us, duration_ms
-        The pulse train. 50 Hz, 2 V bipolar and 0.5 s: Erickson et al., PLoS ONE 2015, e0134348, best of those tried on
-        hissing cockroaches. Pulse width, of one phase: the middle of the 1-9 ms of the RoboRoach firmware; Erickson gives none.
+        The pulse train of a command that names none of its own, within these limits. 50 Hz, 2 V bipolar and 0.5 s: best of those that
+        Erickson et al. tried on hissing cockroaches. Pulse width, of one phase: the middle of the RoboRoach firmware's; Erickson gives none.
     channel
         Electrode channel, 0 to 7; 255: the one that the backpack itself uses for each action.
     waveform
         symmetric or asymmetric: biphasic, balanced in charge. monophasic: one phase, for electrodes that are known to bear it.
     reply_timeout_s
         A biobot that does not answer for so long has an unknown outcome.
+    flight_s
+        A frame that was given to a dongle may reach the biobot this much later, not more: without an answer, its train counts as given
+        at the worst moment of that time. ZigBee tries for up to 4.8 s.
     stop_attempts, stop_retry_s
         How often a stop is sent until the biobot confirms it, and the pause between.
     max_clock_ahead_s
         A command issued later than this from now comes from a wrong clock and is refused.
+    commander_silence_s
+        A commander whose beat is not heard for so long is gone, whatever its liveliness token says: whom it moves is stopped.
+    on_shutdown
+        Whom the gateway stops before it ends: those under controlled motion, all, or none.
     """
 
     min_gap_s: Annotated[float, msgspec.Meta(ge=2.0, le=3600)] = 2.0
     window_s: Annotated[float, msgspec.Meta(ge=60.0, le=3600)] = 60.0
     max_trains: Annotated[int, msgspec.Meta(ge=1, le=30)] = 30
     max_on_s: Annotated[float, msgspec.Meta(gt=0, le=9.0)] = 9.0
+    min_frequency_hz: Annotated[int, msgspec.Meta(ge=1, le=150)] = 50
+    max_frequency_hz: Annotated[int, msgspec.Meta(ge=1, le=150)] = 55
+    max_amplitude_mv: Annotated[int, msgspec.Meta(ge=0, le=4000)] = 2000
+    max_pulse_width_us: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 9000
+    max_duration_ms: Annotated[int, msgspec.Meta(ge=0, le=500)] = 500
+    allows_unbalanced: bool = False
     frequency_hz: Annotated[int, msgspec.Meta(ge=1, le=150)] = 50
     amplitude_mv: Annotated[int, msgspec.Meta(ge=0, le=4000)] = 2000
     pulse_width_us: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 5000
@@ -117,9 +125,12 @@ class StimulationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     channel: Annotated[int, msgspec.Meta(ge=0, le=255)] = OWN_CHANNEL
     waveform: WaveformName = WaveformName.SYMMETRIC
     reply_timeout_s: _Seconds = 5.0
+    flight_s: Annotated[float, msgspec.Meta(ge=0.1, le=60)] = 6.0
     stop_attempts: Annotated[int, msgspec.Meta(ge=1, le=20)] = 5
     stop_retry_s: _Seconds = 1.0
     max_clock_ahead_s: _Seconds = 2.0
+    commander_silence_s: Annotated[float, msgspec.Meta(ge=0.5, le=60)] = 1.2
+    on_shutdown: Literal["controlled", "all", "none"] = "controlled"
 
 
 class BackpackTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -12,11 +12,12 @@ from pathlib import Path
 
 from firmware_protocol.configuration import Unfit, load_configuration
 from firmware_protocol.contract.access import Role
+from firmware_protocol.contract.commands import WaveformName
 from firmware_protocol.contract.keys import check_name
 from firmware_protocol.contract.sessions import endpoint_problem, tls_problems
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
 from firmware_protocol.messages import OWN_CHANNEL
-from gateway.config import GatewayConfig, StimulationTable, WaveformName
+from gateway.config import GatewayConfig, StimulationTable
 from gateway.errors import JournalUnfitError
 from gateway.journal_file import expect_fit_to_open
 from gateway.tls_files import check_tls_files, read_roster

@@ -9,17 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from firmware_protocol.contract.records import (
-    Cause,
-    CommandStage,
-    MissionPhase,
-    MissionRecord,
-    Mode,
-    ModeRecord,
-    Stage,
-    StimulationAction,
-    StimulationRequest,
-)
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.records import Cause, MissionPhase, MissionRecord, Mode, ModeRecord
 from firmware_protocol.landmarks import select_landmarks
 from firmware_protocol.messages import WireMode
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId

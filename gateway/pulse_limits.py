@@ -4,8 +4,9 @@ The table in the configuration is the gateway's own limit and is checked when it
 looser. A refusal names both.
 """
 
+from firmware_protocol.contract.commands import WaveformName
 from firmware_protocol.messages import OWN_CHANNEL, Limits, Waveform
-from gateway.config import StimulationTable, WaveformName
+from gateway.config import StimulationTable
 
 WAVEFORMS = {
     WaveformName.SYMMETRIC: Waveform.SYMMETRIC_BIPHASIC,

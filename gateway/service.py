@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, StimulationRequest
+from firmware_protocol.contract.commands import StimulationRequest
+from firmware_protocol.contract.records import GatewayEvent, GatewayStatus
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level

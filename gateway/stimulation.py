@@ -15,15 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from firmware_protocol.contract.records import (
-    CommandStage,
-    Mode,
-    Stage,
-    StimulationAction,
-    StimulationRequest,
-    decode_record,
-    encode_record,
-)
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.records import Mode, decode_record, encode_record
 from firmware_protocol.errors import RecordError
 from firmware_protocol.messages import Action, Capability, Stimulate, StimulateReply, StimulationResult
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, Nanoseconds, NodeId

@@ -16,17 +16,16 @@ from typing import Any, Final, Self, TypeAlias
 import zenoh
 import zenoh.ext
 
+from firmware_protocol.contract.commands import CommandStage, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Key, Stream, build_key, parse_key
 from firmware_protocol.contract.presence import Kind, Token, build_token_key, parse_token_key
 from firmware_protocol.contract.records import (
-    CommandStage,
     GatewayEvent,
     GatewayStatus,
     HistoryRequest,
     NeighbourReport,
     NodeStatus,
     RecordBatch,
-    StimulationRequest,
     Watermark,
     decode_record,
     encode_record,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from firmware_protocol.contract.records import CommandStage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import CommandStage, StimulationAction, StimulationRequest
 from firmware_protocol.units import Nanoseconds, NodeId
 from mapper.bus import Bus
 from mapper.changes import Changes, Topic

@@ -10,7 +10,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from firmware_protocol.contract.records import CommandStage, GatewayStatus, Stage, StimulationRequest
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationRequest
+from firmware_protocol.contract.records import GatewayStatus
 from firmware_protocol.units import Nanoseconds
 from gateway.bus import Bus, CommandAnswer
 from gateway.config import GatewayConfig

@@ -125,23 +125,26 @@ class Permission:
     streams: tuple[str, ...]
 
 
-_HEARD: Final = ("encounters", "modes", "mission", "status", "neighbours", "events")
+_HEARD: Final = ("encounters", "modes", "mission", "status", "neighbours", "events", "stages", "stimulation")
 _SEEN: Final = ("alive", "radios", "mappers", "commanders")
 
 PERMISSIONS: Final = (
     Permission(Role.GATEWAY, Deed.PUBLISH, Scope.OWN, _HEARD),
-    Permission(Role.GATEWAY, Deed.ANSWER, Scope.OWN, ("command", "history")),
+    Permission(Role.GATEWAY, Deed.ANSWER, Scope.OWN, ("command", "history", "orders")),
     Permission(Role.GATEWAY, Deed.BE_ALIVE, Scope.OWN, ("alive", "radios")),
     Permission(Role.GATEWAY, Deed.SUBSCRIBE, Scope.OWN, ("watermark",)),
+    Permission(Role.GATEWAY, Deed.SUBSCRIBE, Scope.SITE, ("beat",)),
     Permission(Role.GATEWAY, Deed.WATCH, Scope.OWN, ("alive",)),
     Permission(Role.GATEWAY, Deed.WATCH, Scope.SITE, ("commanders",)),
     Permission(Role.MAPPER, Deed.SUBSCRIBE, Scope.SITE, _HEARD),
-    Permission(Role.MAPPER, Deed.ASK, Scope.SITE, ("command", "history")),
+    Permission(Role.MAPPER, Deed.ASK, Scope.SITE, ("command", "history", "orders")),
+    Permission(Role.MAPPER, Deed.PUBLISH, Scope.OWN, ("beat",)),
     Permission(Role.MAPPER, Deed.PUBLISH, Scope.OWN_LAST, ("watermark",)),
     Permission(Role.MAPPER, Deed.BE_ALIVE, Scope.OWN, ("mappers", "commanders")),
     Permission(Role.MAPPER, Deed.WATCH, Scope.SITE, _SEEN),
     Permission(Role.OPERATOR, Deed.SUBSCRIBE, Scope.SITE, (*_HEARD, "watermark")),
-    Permission(Role.OPERATOR, Deed.ASK, Scope.SITE, ("command",)),
+    Permission(Role.OPERATOR, Deed.ASK, Scope.SITE, ("command", "orders")),
+    Permission(Role.OPERATOR, Deed.PUBLISH, Scope.OWN, ("beat",)),
     Permission(Role.OPERATOR, Deed.BE_ALIVE, Scope.OWN, ("commanders",)),
     Permission(Role.OPERATOR, Deed.WATCH, Scope.SITE, _SEEN),
     Permission(Role.VIEWER, Deed.SUBSCRIBE, Scope.SITE, (*_HEARD, "watermark")),

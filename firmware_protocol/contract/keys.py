@@ -30,12 +30,17 @@ class Stream(Enum):
     HISTORY = "history"
     ALIVE = "alive"
     WATERMARK = "watermark"
+    STAGES = "stages"
+    STIMULATION = "stimulation"
+    ORDERS = "orders"
+    BEAT = "beat"
+    """The name in the place of the gateway's is its commander's."""
 
 
 _NODE = re.compile(r"[0-9]{1,20}\Z", re.ASCII)
 _MAX_NODE = 2**64 - 1
 
-_WITH_NODE = {Stream.STATUS, Stream.NEIGHBOURS}
+_WITH_NODE = {Stream.STATUS, Stream.NEIGHBOURS, Stream.STIMULATION}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +71,7 @@ def build_key(*, site: str, stream: Stream, gateway: str, node: NodeId | str | N
     site, gateway
         Names, or ``ANY``.
     node
-        For ``STATUS`` and ``NEIGHBOURS``: a biobot, or ``ANY``. The gateway's own status has no node.
+        For ``STATUS``, ``NEIGHBOURS`` and ``STIMULATION``: a biobot, or ``ANY``. The gateway's own status has no node.
     mapper
         For ``WATERMARK``: a mapper's name, or ``ANY``.
 

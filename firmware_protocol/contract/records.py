@@ -1,4 +1,4 @@
-"""The records on the bus: what gateway and mapper both mean (CONTRACT.md §3 and §4).
+"""The records on the bus: what gateway and mapper both mean (CONTRACT.md §3 and §4). Commands and orders have modules of their own.
 
 Journaled records (encounters, modes, mission phases) share a head: an identity ``(gateway, journal, boot, sequence)`` that
 never changes, a revision that grows with each correction, and an offset in the gateway's journal without gaps. Readers ignore
@@ -15,7 +15,8 @@ from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
 
 _Offset = Annotated[int, msgspec.Meta(ge=1)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
-_Node = Annotated[NodeId, msgspec.Meta(ge=0)]  # decoding refuses what has more than 64 bits
+AnyNode = Annotated[NodeId, msgspec.Meta(ge=0)]
+"""Decoding refuses what has more than 64 bits."""
 
 RecordIdentity: TypeAlias = tuple[str, str, BootId, int]
 """Gateway, journal, boot and sequence: two journals of one gateway may number their starts alike."""
@@ -42,27 +43,9 @@ class MissionPhase(Enum):
     DISPERSION = "dispersion"
     LANDMARK_SELECTION = "landmark_selection"
     EXPLORATION = "exploration"
+    PAUSED = "paused"
+    """By an operator, or by a stop of all; what was interrupted goes on when it is resumed."""
     DONE = "done"
-
-
-class StimulationAction(Enum):
-    """What an operator asks of a biobot."""
-
-    START = "start"
-    STOP = "stop"
-    TURN_LEFT = "turn_left"
-    TURN_RIGHT = "turn_right"
-
-
-class Stage(Enum):
-    """How far a command has come; the last four are final."""
-
-    ACCEPTED = "accepted"
-    RADIO_CONFIRMED = "radio_confirmed"
-    BIOBOT_CONFIRMED = "biobot_confirmed"
-    REFUSED = "refused"
-    FAILED = "failed"
-    UNKNOWN = "unknown"
 
 
 class Struct(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -72,7 +55,7 @@ class Struct(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 class EncounterSide(Struct, frozen=True, kw_only=True):
     """What one of the two reported, on the gateway's clock."""
 
-    node: _Node
+    node: AnyNode
     t_start_ns: Nanoseconds
     t_end_ns: Nanoseconds
     rssi_dbm: RssiDbm
@@ -108,8 +91,8 @@ class RecordHead(Struct, frozen=True, kw_only=True):
 class EncounterRecord(RecordHead, frozen=True, kw_only=True, tag="encounter"):
     """Two biobots were within detection range ([Dir16] eq. 2); ``node_a < node_b``."""
 
-    node_a: _Node
-    node_b: _Node
+    node_a: AnyNode
+    node_b: AnyNode
     t_start_ns: Nanoseconds
     t_end_ns: Nanoseconds
     error_ns: Nanoseconds
@@ -128,7 +111,7 @@ class EncounterRecord(RecordHead, frozen=True, kw_only=True, tag="encounter"):
 class ModeRecord(RecordHead, frozen=True, kw_only=True, tag="mode"):
     """A biobot was in one mode from ``t_start_ns``, to ``t_end_ns`` or (None) until further notice."""
 
-    node: _Node
+    node: AnyNode
     mode: Mode
     cause: Cause
     t_start_ns: Nanoseconds
@@ -267,7 +250,7 @@ class NodeStatus(Struct, frozen=True, kw_only=True):
 
     gateway: str
     radio: str
-    node: _Node
+    node: AnyNode
     eui64: int
     boot: BootId
     mode: Mode
@@ -290,7 +273,7 @@ class NodeStatus(Struct, frozen=True, kw_only=True):
 class NeighbourEntry(Struct, frozen=True, kw_only=True):
     """A biobot within communication range."""
 
-    node: _Node
+    node: AnyNode
     rssi_dbm: RssiDbm
 
 
@@ -298,7 +281,7 @@ class NeighbourReport(Struct, frozen=True, kw_only=True):
     """All that a biobot had within communication range in its last report."""
 
     gateway: str
-    node: _Node
+    node: AnyNode
     wall_ns: Nanoseconds
     neighbours: tuple[NeighbourEntry, ...]
 
@@ -311,36 +294,6 @@ class GatewayEvent(Struct, frozen=True, kw_only=True):
     level: str
     kind: str
     facts: dict[str, str]
-
-
-class StimulationRequest(Struct, frozen=True, kw_only=True):
-    """A command to one biobot, sent as a query to ``command/{gateway}``."""
-
-    command_id: Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9._-]+$")]
-    node: _Node
-    action: StimulationAction
-    operator: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
-    issued_wall_ns: Nanoseconds
-    ttl_ms: Annotated[int, msgspec.Meta(ge=1, le=60_000)] = 5_000
-    hold_ms: Annotated[int, msgspec.Meta(ge=0, le=3_600_000)] = 0
-
-
-class CommandStage(Struct, frozen=True, kw_only=True):
-    """One answer to a command; several may follow each other, the last one is final."""
-
-    command_id: str
-    gateway: str
-    node: _Node
-    action: StimulationAction
-    stage: Stage
-    wall_ns: Nanoseconds
-    reason: str = ""
-    mode: Mode | None = None
-
-    @property
-    def is_final(self) -> bool:
-        """No further stage follows."""
-        return self.stage not in {Stage.ACCEPTED, Stage.RADIO_CONFIRMED}
 
 
 _encoder = msgspec.msgpack.Encoder()

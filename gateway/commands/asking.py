@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from firmware_protocol.contract.access import Role
-from firmware_protocol.contract.records import Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
 from firmware_protocol.errors import ConfigurationError
 from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.commands.outcome import DONE, FAILED, complain

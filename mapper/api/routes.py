@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Query, Request, Response
 
-from firmware_protocol.contract.records import StimulationAction
+from firmware_protocol.contract.commands import StimulationAction
 from firmware_protocol.units import NodeId
 from mapper.api.errors import PROBLEM_TYPE
 from mapper.api.event_stream import EventStream

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from firmware_protocol.contract.records import EncounterRecord, JournalRecord, ModeRecord, Stage, StimulationAction
+from firmware_protocol.contract.commands import Stage, StimulationAction
+from firmware_protocol.contract.records import EncounterRecord, JournalRecord, ModeRecord
 from studies.ledger import check_ledger
 from tests.e2e.simulation import RECORDED, as_rows, current, end_of, ready, simulating
 from tests.gateway.fake_radio import until

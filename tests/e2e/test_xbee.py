@@ -15,7 +15,7 @@ from digi.xbee.models.options import RemoteATCmdOptions
 from digi.xbee.models.protocol import Role, XBeeProtocol
 from digi.xbee.models.status import TransmitStatus
 
-from firmware_protocol.contract.records import Stage, StimulationAction
+from firmware_protocol.contract.commands import Stage, StimulationAction
 from firmware_protocol.message_codec import decode_uplink, encode_downlink
 from firmware_protocol.messages import HelloRequest, MessageFault, TimeSyncReply, TimeSyncRequest
 from tests.e2e.simulation import RECORDED, current, end_of, ready, simulating

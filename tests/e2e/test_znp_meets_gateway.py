@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from firmware_protocol.contract.records import JournalRecord, Stage, StimulationAction
+from firmware_protocol.contract.commands import Stage, StimulationAction
+from firmware_protocol.contract.records import JournalRecord
 from studies.ledger import check_ledger
 from tests.e2e.simulation import as_rows, current, end_of, ready, simulating
 from tests.gateway.fake_radio import until

@@ -12,15 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import firmware_protocol.contract
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction
 from firmware_protocol.contract.keys import ANY, Key, Stream, build_key, parse_key
 from firmware_protocol.contract.records import (
-    CommandStage,
     GatewayStatus,
     HistoryRequest,
     JournalRecord,
     RecordBatch,
-    Stage,
-    StimulationAction,
     decode_journal_record,
     decode_record,
     encode_journal_record,

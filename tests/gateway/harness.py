@@ -13,9 +13,9 @@ from typing import TypeVar
 
 import zenoh
 
+from firmware_protocol.contract.commands import CommandStage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.records import (
-    CommandStage,
     GatewayEvent,
     GatewayStatus,
     HistoryRequest,
@@ -23,8 +23,6 @@ from firmware_protocol.contract.records import (
     NeighbourReport,
     NodeStatus,
     RecordBatch,
-    StimulationAction,
-    StimulationRequest,
     Struct,
     decode_record,
     encode_record,

@@ -3,7 +3,8 @@
 import asyncio
 from pathlib import Path
 
-from firmware_protocol.contract.records import BackpackConfiguration, EncounterRecord, Stage, StimulationAction
+from firmware_protocol.contract.commands import Stage, StimulationAction
+from firmware_protocol.contract.records import BackpackConfiguration, EncounterRecord
 from firmware_protocol.messages import Capability, ConfigurationResult, Diagnostic, Level, Limits
 from firmware_protocol.units import Milliseconds, NodeId
 from gateway.config import BackpackTable

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import zenoh
 
+from firmware_protocol.contract.commands import StimulationAction, StimulationRequest
 from firmware_protocol.contract.keys import Stream, build_key
-from firmware_protocol.contract.records import Mode, StimulationAction, StimulationRequest, Watermark, encode_record
+from firmware_protocol.contract.records import Mode, Watermark, encode_record
 from gateway.bus import Bus, CommandAnswer
 from gateway.health import Health
 from gateway.journal import Journal

@@ -8,17 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from firmware_protocol.contract.records import (
-    Cause,
-    EncounterRecord,
-    HistoryRequest,
-    MissionPhase,
-    MissionRecord,
-    Mode,
-    ModeRecord,
-    Stage,
-    StimulationAction,
-)
+from firmware_protocol.contract.commands import Stage, StimulationAction
+from firmware_protocol.contract.records import Cause, EncounterRecord, HistoryRequest, MissionPhase, MissionRecord, Mode, ModeRecord
 from firmware_protocol.envelope import RadioStatus
 from firmware_protocol.messages import Action
 from firmware_protocol.units import NodeId

@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from firmware_protocol.contract.commands import WaveformName
 from firmware_protocol.messages import Limits
 from firmware_protocol.units import NS_PER_S, NodeId
-from gateway.config import StimulationTable, WaveformName
+from gateway.config import StimulationTable
 from gateway.pulse_limits import pulse_refusal
 from gateway.train_ledger import TrainLedger
 

@@ -5,7 +5,7 @@ import sqlite3
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from firmware_protocol.contract.records import CommandStage, Stage, StimulationAction
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction
 from firmware_protocol.messages import Downlink, Stimulate, StimulateReply, StimulationResult, WireMode
 from firmware_protocol.units import BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.config import StimulationTable

@@ -9,10 +9,10 @@ from typing import Any, Self
 import zenoh
 import zenoh.ext
 
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.records import (
     Cause,
-    CommandStage,
     EncounterRecord,
     GatewayStatus,
     HistoryRequest,
@@ -23,8 +23,6 @@ from firmware_protocol.contract.records import (
     ModeRecord,
     NodeStatus,
     RecordBatch,
-    Stage,
-    StimulationRequest,
     Struct,
     Watermark,
     decode_record,

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.routing import Route
 
-from firmware_protocol.contract.records import MissionPhase, Stage
+from firmware_protocol.contract.commands import Stage
+from firmware_protocol.contract.records import MissionPhase
 from firmware_protocol.units import NodeId
 from mapper import errors
 from mapper.api.app import create_app, create_unguarded_app

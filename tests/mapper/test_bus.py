@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_protocol.contract.commands import Stage, StimulationAction
 from firmware_protocol.contract.keys import Stream
-from firmware_protocol.contract.records import JournalRecord, Mode, Stage, StimulationAction, encode_record
+from firmware_protocol.contract.records import JournalRecord, Mode, encode_record
 from firmware_protocol.units import NodeId
 from mapper.bus import Bus, _decode
 from mapper.changes import Topic

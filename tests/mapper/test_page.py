@@ -11,7 +11,8 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from firmware_protocol.contract.records import Cause, EncounterRecord, Mode, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.records import Cause, EncounterRecord, Mode
 from tests.mapper.fake_gateway import FakeGateway, free_port
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving
