@@ -88,7 +88,7 @@ class StimulationTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         2015, e0134348; RoboRoach), 1 to 9 ms a phase (RoboRoach). allows_unbalanced: waveform monophasic may be asked for.
     frequency_hz, amplitude_mv, pulse_width_us, duration_ms
         The pulse train of a command that names none of its own, within these limits. 50 Hz, 2 V bipolar and 0.5 s: best of those that
-        Erickson et al. tried on hissing cockroaches. Pulse width, of one phase: the middle of the RoboRoach firmware's; Erickson gives none.
+        Erickson et al. tried on hissing cockroaches. Pulse width, of one phase: the middle of the RoboRoach firmware's; they give none.
     channel
         Electrode channel, 0 to 7; 255: the one that the backpack itself uses for each action.
     waveform
