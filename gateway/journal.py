@@ -138,6 +138,11 @@ class Journal:
         return self._file.identity.boot
 
     @property
+    def ran_ns(self) -> int:
+        """How long gateways have run on this journal [ns]; after a process was killed, as far as was written down."""
+        return self._file.ran_ns()
+
+    @property
     def head_offset(self) -> int:
         """Newest offset on disk."""
         return self._head_offset

@@ -83,7 +83,7 @@ class JournalFile:
         number = self._newest_segment + 1
         if not (self._has_failed and _newest_segment(self._connection) >= number):
             self._has_failed = True  # until it is known not to have
-            sealed = gathered.seal(segment=number, now_wall_ns=self._wall_clock(), ran_ns=self._ran_ns())
+            sealed = gathered.seal(segment=number, now_wall_ns=self._wall_clock(), ran_ns=self.ran_ns())
             self._connection.execute(COMMIT, sealed.row())
         self._has_failed = False
         self._newest_segment = number
@@ -94,7 +94,7 @@ class JournalFile:
         ``is_behind``: a mapper has more of this journal than it has itself; from the next start on it has another name.
         What makes room comes first, and what the disk refuses keeps nothing else from being done.
         """
-        connection, ran_ns = self._connection, self._ran_ns()
+        connection, ran_ns = self._connection, self.ran_ns()
         refused: dict[str, str] = {}
 
         def attempt(step: str, work: Callable[[], _ResultT], otherwise: _ResultT) -> _ResultT:
@@ -127,6 +127,10 @@ class JournalFile:
         """Return the first offset that the file still has, or will have."""
         return oldest_offset(self._connection)
 
+    def ran_ns(self) -> int:
+        """Return how long gateways have run on this journal [ns]."""
+        return self._ran_until_now_ns + max(0, self._clock() - self._opened_ns)
+
     def _write_progress(self, watermarks: Mapping[str, int], *, ran_ns: int, is_behind: bool) -> None:
         for mapper, offset in watermarks.items():
             values = (mapper, offset, self._wall_clock(), ran_ns)
@@ -136,10 +140,6 @@ class JournalFile:
         if ran_ns - self._told_ran_ns >= _RAN_PERIOD_NS:
             self._connection.execute("INSERT OR REPLACE INTO meta VALUES ('ran_ns', ?)", (str(ran_ns),))
             self._told_ran_ns = ran_ns
-
-    def _ran_ns(self) -> int:
-        """Return how long gateways have run on this journal [ns]."""
-        return self._ran_until_now_ns + max(0, self._clock() - self._opened_ns)
 
     def close(self) -> None:
         """Close the file and let others have it."""
