@@ -18,6 +18,7 @@ from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
+from gateway.audit_log import AuditLog
 from gateway.bus import Bus, CommandAnswer
 from gateway.clocks import ClockBook
 from gateway.config import GatewayConfig, LinkTable
@@ -192,6 +193,7 @@ class Service:
                 on_unknown_clock=inquirer.note_refused,
             )
         )
+        audit = AuditLog(journal=journal, reader=reader, health=health)
         mission = Mission(
             config=config.mission,
             issuer=issuer,
@@ -200,7 +202,7 @@ class Service:
             nodes=nodes,
             handle=gate.handle,
             health=health,
-            note=_note_nowhere,
+            note=audit.note,
             on_event=partial(self._publish_event, bus),
         )
         journal.listen(mission.take_records)
