@@ -83,9 +83,7 @@ def choose(candidates: Candidates, *, n_wanted: int, turn: int) -> LandmarkChoic
         n_wanted=n_wanted,
         candidates=candidates.eligible,
         left_out=candidates.left_out,
-        clusters=tuple(
-            LandmarkCluster(size=len(one.members), picks=tuple(map(NodeId, one.picks)), radius=one.radius) for one in clusters
-        ),
+        clusters=tuple(LandmarkCluster(size=len(one.members), picks=tuple(map(NodeId, one.picks)), radius=one.radius) for one in clusters),
         awaited=tuple(NodeId(pick) for one in clusters for pick in one.picks),
     )
 

@@ -133,4 +133,3 @@ class LandmarkCommander:
     async def _wait_for_the_disk(self) -> None:
         while self._journal.fault is not None:  # noqa: ASYNC110  # a mission can wait; nothing else needs the event
             await asyncio.sleep(_DISK_POLL_S)
-

@@ -21,7 +21,7 @@ from gateway.mission.chronicle import Chronicle
 from gateway.mission.candidates import USUAL_SHARE, Candidates, choose, choose_next, count_wanted, find_candidates
 from gateway.mission.landmark_commands import OPERATOR, Handle, LandmarkCommander
 from gateway.mission.orders import OrderMemory, refusal_of
-from gateway.mission.planner import MissionPlanner
+from gateway.mission.planner import COMMANDING, MissionPlanner
 from gateway.mission.states import restore_state
 from gateway.mission.steps import Choose, LetGo, MakeLandmark, MissionState, MissionStep, Tell
 from gateway.mission.watch import LandmarkWatch, Suspicion
@@ -215,7 +215,7 @@ class Mission:
         return {one.node for one in nodes if (one.last_heard_ns >= oldest_ns if one.last_heard_ns else now_ns < self._restored_until_ns)}
 
     def _may_command(self) -> bool:
-        return self.state.phase not in {MissionPhase.PAUSED, MissionPhase.IDLE, MissionPhase.DONE}
+        return self.state.phase in COMMANDING
 
     def _proceed(self, steps: list[MissionStep]) -> bool:
         """Write down at once what is to be written, and leave the rest to the task; return whether anything was written."""
@@ -322,18 +322,14 @@ class Mission:
         if not suspicion.is_told:
             self._lose(suspicion.node, reason=suspicion.reason, is_let_go=True)
             return
-        steps = self._planner.is_walking(
-            suspicion.node, reason=suspicion.reason, now_ns=self._journal.ran_ns, wall_ns=self._wall_clock()
-        )
+        steps = self._planner.is_walking(suspicion.node, reason=suspicion.reason, now_ns=self._journal.ran_ns, wall_ns=self._wall_clock())
         if steps:
             self._note("landmark.doubt", facts={"reason": suspicion.reason}, node=suspicion.node)
         self._tell_loss(suspicion.node, reason=suspicion.reason)
         self._proceed(steps)
 
     def _lose(self, node: NodeId, *, reason: str, is_let_go: bool) -> None:
-        steps = self._planner.lose(
-            node, reason=reason, is_let_go=is_let_go, now_ns=self._journal.ran_ns, wall_ns=self._wall_clock()
-        )
+        steps = self._planner.lose(node, reason=reason, is_let_go=is_let_go, now_ns=self._journal.ran_ns, wall_ns=self._wall_clock())
         self._tell_loss(node, reason=reason)
         self._proceed(steps)
 

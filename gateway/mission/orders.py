@@ -26,7 +26,9 @@ def refusal_of(order: MissionOrder, *, now_wall_ns: int, journal_fault: str | No
         if age_ms > order.ttl_ms:
             return f"it is stale: issued {age_ms} ms ago with a time to live of {order.ttl_ms} ms; give it anew"
     if journal_fault is not None and order.action in _COMMANDING:
-        return f"the journal takes nothing ({journal_fault}): a mission that is not on disk commands nobody; make room, or pause or finish it"
+        return (
+            f"the journal takes nothing ({journal_fault}): a mission that is not on disk commands nobody; make room, or pause or finish it"
+        )
     return None
 
 

@@ -33,6 +33,9 @@ POSSIBLE: dict[MissionPhase, tuple[MissionAction, ...]] = {
 }
 """Orders that are taken in each phase."""
 
+COMMANDING = {_P.DISPERSION, _P.LANDMARK_SELECTION, _P.EXPLORATION}
+"""Phases in which the mission commands biobots."""
+
 
 @dataclass(slots=True, kw_only=True)
 class MissionPlanner:
@@ -291,7 +294,7 @@ class MissionPlanner:
 
     def _outstanding(self) -> list[MissionStep]:
         """Return the commands that were decided on, and whose outcome is not known."""
-        if self.state.phase is _P.PAUSED:
+        if self.state.phase not in COMMANDING:
             return []
         going = [LetGo(node=node, decided_ns=at_ns) for node, at_ns in sorted(self.state.releasing.items())]
         return [*(MakeLandmark(node=node) for node in sorted(self.state.awaited)), *going]

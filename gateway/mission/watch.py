@@ -128,4 +128,3 @@ class LandmarkWatch:
     def _is_at_the_edge(self, record: EncounterRecord, *, enter_dbm: RssiDbm | None) -> bool:
         heard = [side.rssi_dbm for side in record.sides if side.rssi_dbm != UNKNOWN_RSSI]
         return enter_dbm is not None and bool(heard) and max(heard) < enter_dbm + EDGE_DB
-
