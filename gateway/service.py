@@ -18,7 +18,8 @@ from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
-from gateway.bus import Bus, CommandAnswer
+from gateway.bus import Bus
+from gateway.bus_commands import CommandAnswer
 from gateway.clocks import ClockBook
 from gateway.config import GatewayConfig, LinkTable
 from gateway.config_loading import read_address
