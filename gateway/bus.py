@@ -28,7 +28,7 @@ from firmware_protocol.contract.records import (
     Struct,
     encode_record,
 )
-from gateway.bus_commands import CommandDoor, CommandTaker, OrderDoor, OrderTaker
+from gateway.bus_commands import CommandDoor, CommandTaker, OrderDoor, OrderTaker, TurnedAwayListener
 from gateway.bus_history import HistoryDoor
 from gateway.bus_presence import CommanderDoor, CommanderListener, WatermarkDoor
 from gateway.bus_session import ConnectionWatch, open_service
@@ -116,12 +116,16 @@ class Bus:
         on_command: CommandTaker,
         open_reader: Callable[[], JournalReader],
         journal: str,
+        on_turned_away: TurnedAwayListener | None = None,
         on_order: OrderTaker | None = None,
         commanders: CommanderListener | None = None,
         on_watermark: Callable[[str, int], None] | None = None,
         on_damage: Callable[[Damage], None] | None = None,
     ) -> None:
-        """Answer queries from now on, and be alive to others. All that is given is called in the running loop, but for ``open_reader``."""
+        """Answer queries from now on, and be alive to others.
+
+        All that is given is called in the running loop, but for ``open_reader`` and ``on_turned_away``.
+        """
         loop, health = asyncio.get_running_loop(), self._health
 
         def tell_damage(damage: Damage) -> None:
@@ -141,7 +145,14 @@ class Bus:
         answer = partial(history_batches, open_reader=open_reader, gateway=self._gateway, journal=journal, on_damage=tell_damage)
         command_key, order_key, history_key = map(self._key, (Stream.COMMAND, Stream.ORDERS, Stream.HISTORY))
         self._history = HistoryDoor(key=history_key, health=health, answer=answer)
-        self._commands = CommandDoor(loop=loop, key=command_key, executor=self._answers, health=health, on_command=on_command)
+        self._commands = CommandDoor(
+            loop=loop,
+            key=command_key,
+            executor=self._answers,
+            health=health,
+            on_command=on_command,
+            on_turned_away=on_turned_away,
+        )
         self._declared.append(self._session.declare_queryable(command_key, self._commands.take))
         if on_order is not None:
             first = self._commands.hand_over_stops

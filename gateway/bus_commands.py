@@ -64,15 +64,25 @@ class OrderAnswer:
 
 CommandTaker = Callable[[StimulationRequest, CommandAnswer], None]
 OrderTaker = Callable[[MissionOrder, OrderAnswer], None]
+TurnedAwayListener = Callable[[bytes, str], None]
+"""Hears, on a thread of Zenoh, the octets of a query that was no command or one too many, and why."""
 
 
 class CommandDoor:
     """Takes commands on Zenoh's threads, and hands them to the loop: stops first, the others a few at a time."""
 
     def __init__(
-        self, *, loop: asyncio.AbstractEventLoop, key: str, executor: ThreadPoolExecutor, health: Health, on_command: CommandTaker
+        self,
+        *,
+        loop: asyncio.AbstractEventLoop,
+        key: str,
+        executor: ThreadPoolExecutor,
+        health: Health,
+        on_command: CommandTaker,
+        on_turned_away: TurnedAwayListener | None = None,
     ) -> None:
         self._key = key
+        self._on_turned_away = on_turned_away
         self._executor = executor
         self._health = health
         self._stops = _Lane(loop=loop, take=on_command, at_once=_MAX_STOPS, limit=_MAX_STOPS)
@@ -84,18 +94,24 @@ class CommandDoor:
 
     def take(self, query: zenoh.Query) -> None:
         """Runs on a thread of Zenoh."""
+        octets = payload_of(query)
         try:
-            request = decode_record(payload_of(query), StimulationRequest)
+            request = decode_record(octets, StimulationRequest)
         except RecordError as error:
-            refuse(query, str(error), health=self._health)
+            self._turn_away(query, octets, str(error))
             return
         lane = self._stops if request.action in _STOPS else self._others
         if not lane.append(request, CommandAnswer(query=query, key=self._key, executor=self._executor)):
-            refuse(query, f"{lane.limit} commands wait already; try again", health=self._health)
+            self._turn_away(query, octets, f"{lane.limit} commands wait already; try again")
 
     def hand_over_stops(self) -> None:
         """Hand over the stops that wait, in the loop."""
         self._stops.hand_over()
+
+    def _turn_away(self, query: zenoh.Query, octets: bytes, reason: str) -> None:
+        refuse(query, reason, health=self._health)
+        if self._on_turned_away is not None:
+            self._on_turned_away(octets, reason)
 
 
 class OrderDoor:
