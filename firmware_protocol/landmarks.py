@@ -97,8 +97,8 @@ def choose_landmarks(
 
     Notes
     -----
-    [Dir16] IV leaves the first pick open. Each of those eligible is tried, or ``MAX_STARTS`` at equal distances in the order of their ids; the
-    best has the smallest radius, then the smallest sum of hops to the nearest pick; ties go by id. A cluster's share is in
+    [Dir16] IV leaves the first pick open. Each of those eligible is tried, or ``MAX_STARTS`` at equal distances in the order of their
+    ids; the best has the smallest radius, then the smallest sum of hops to the nearest pick; ties go by id. A cluster's share is in
     proportion to its size, and not more than it has of those eligible.
     """
     candidates = set(eligible) & adjacency.keys()

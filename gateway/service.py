@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from firmware_protocol.contract.commands import StimulationRequest
+from firmware_protocol.contract.mission_orders import MissionOrder
 from firmware_protocol.contract.records import GatewayEvent, GatewayStatus
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
@@ -19,7 +20,8 @@ from firmware_protocol.messages import Diagnostic, Level
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
 from gateway.audit_log import AuditLog
-from gateway.bus import Bus, CommandAnswer
+from gateway.bus import Bus
+from gateway.bus_commands import CommandAnswer, OrderAnswer
 from gateway.clocks import ClockBook
 from gateway.config import GatewayConfig, LinkTable
 from gateway.config_loading import read_address
@@ -216,6 +218,7 @@ class Service:
                 running = [tasks.create_task(journal.run())]
                 bus.start(
                     on_command=partial(self._on_command, gate, tasks),
+                    on_order=partial(self._on_order, mission, tasks),
                     open_reader=journal.reader,
                     journal=journal.journal_id,
                     on_watermark=journal.note_watermark,
@@ -263,6 +266,16 @@ class Service:
         if self._stopping.is_set():
             return
         task = tasks.create_task(gate.handle(request, answer.tell))
+        self._command_tasks.add(task)
+        task.add_done_callback(self._command_tasks.discard)
+
+    def _on_order(self, mission: Mission, tasks: asyncio.TaskGroup, order: MissionOrder, answer: OrderAnswer) -> None:
+        async def take() -> None:
+            answer.tell(await mission.handle_order(order))
+
+        if self._stopping.is_set():
+            return
+        task = tasks.create_task(take())
         self._command_tasks.add(task)
         task.add_done_callback(self._command_tasks.discard)
 

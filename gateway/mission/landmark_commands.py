@@ -91,7 +91,7 @@ class LandmarkCommander:
         return outcome
 
     async def start(self, node: NodeId, *, name: str) -> Outcome:
-        """Have a biobot walk. A start whose outcome is not known is not given again, also by a later process: ``name`` is its name for good."""
+        """Have a biobot walk, by a ``name`` that is for good: a start whose outcome is not known is not given again by a later process."""
         async with self._alone(node):
             outcome = Outcome(is_done=False, reason="it was not asked")
             for attempt in range(_MAX_STARTS):

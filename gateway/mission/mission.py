@@ -17,8 +17,8 @@ from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
 from gateway.journal_file import Committed, JournalReader
 from gateway.log import EventLog
-from gateway.mission.chronicle import Chronicle
 from gateway.mission.candidates import USUAL_SHARE, Candidates, choose, choose_next, count_wanted, find_candidates
+from gateway.mission.chronicle import Chronicle
 from gateway.mission.landmark_commands import OPERATOR, Handle, LandmarkCommander
 from gateway.mission.orders import OrderMemory, refusal_of
 from gateway.mission.planner import COMMANDING, MissionPlanner

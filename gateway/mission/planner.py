@@ -46,7 +46,7 @@ class MissionPlanner:
     """
 
     config: MissionTable
-    state: MissionState = MissionState()
+    state: MissionState = field(default_factory=MissionState)
     resting: dict[NodeId, int] = field(default_factory=dict)
     """Who may not be chosen, and until when."""
     _waits_from_ns: int = 0

@@ -30,7 +30,7 @@ def record_phase(state: MissionState, *, issuer: RecordIssuer, now_ns: int) -> M
         spent_ns=state.spent_ns,
         explored_ns=state.explored_ns,
         landmarks=tuple(sorted(state.landmarks)),
-        releasing=dict(state.releasing),
+        releasing={int(node): decided_ns for node, decided_ns in state.releasing.items()},
         choice=state.choice,
         changes=state.changes,
     )
@@ -42,7 +42,7 @@ def revise_phase(record: MissionRecord, state: MissionState) -> MissionRecord:
         record,
         revision=record.revision + 1,
         landmarks=tuple(sorted(state.landmarks)),
-        releasing=dict(state.releasing),
+        releasing={int(node): decided_ns for node, decided_ns in state.releasing.items()},
         choice=state.choice,
         changes=state.changes,
     )

@@ -44,6 +44,9 @@ class Swarm:
     def state(self) -> MissionState:
         return self.planner.state
 
+    def is_in(self, phase: MissionPhase) -> bool:
+        return self.planner.state.phase is phase
+
     def candidates(self) -> Candidates:
         return Candidates(adjacency=self.links, eligible=self.members, left_out={}, n_heard=len(self.members))
 
@@ -108,23 +111,23 @@ def exploring(**config: object) -> Swarm:
     swarm.tick(after_s=swarm.planner.config.dispersion_s)
     swarm.tick()
     swarm.settle_all()
-    assert swarm.state.phase is MissionPhase.EXPLORATION
+    assert swarm.is_in(MissionPhase.EXPLORATION)
     return swarm
 
 
 def test_nothing_happens_before_a_biobot_is_heard() -> None:
     swarm = a_swarm()
     swarm.tick(after_s=1000, n_known=0)
-    assert swarm.state.phase is MissionPhase.IDLE
+    assert swarm.is_in(MissionPhase.IDLE)
     assert not swarm.written
 
 
 def test_without_being_enabled_it_waits_for_the_order_to_start() -> None:
     swarm = a_swarm(is_enabled=False)
     swarm.tick(after_s=1000)
-    assert swarm.state.phase is MissionPhase.IDLE
+    assert swarm.is_in(MissionPhase.IDLE)
     assert swarm.order(MissionAction.START) is None
-    assert swarm.state.phase is MissionPhase.DISPERSION
+    assert swarm.is_in(MissionPhase.DISPERSION)
     assert (swarm.state.operator, swarm.state.round) == ("ann", 1)
 
 
@@ -143,7 +146,7 @@ def test_exploration_begins_when_each_landmark_stands_or_no_candidate_is_left(de
     swarm.tick()
     swarm.tick()
     swarm.settle_all()
-    assert swarm.state.phase is MissionPhase.EXPLORATION
+    assert swarm.is_in(MissionPhase.EXPLORATION)
     assert len(swarm.asked) == len(set(swarm.asked)), "nobody is asked twice"
     assert swarm.state.landmarks == set(swarm.asked) - deaf
     assert len(swarm.state.landmarks) == min(3, len(set(_ALL) - deaf))
@@ -164,7 +167,7 @@ def test_a_choice_without_candidates_is_made_again_later_and_nobody_is_asked() -
     members, swarm.members = swarm.members, ()
     for _ in range(3):
         swarm.tick(n_known=10)
-    assert swarm.state.phase is MissionPhase.LANDMARK_SELECTION
+    assert swarm.is_in(MissionPhase.LANDMARK_SELECTION)
     swarm.members = members
     swarm.tick(after_s=6)
     assert swarm.asked
@@ -180,7 +183,7 @@ def test_a_selection_in_which_nobody_answers_ends_instead_of_stopping_everyone()
         swarm.tick()
     swarm.settle_all()
     assert 10 <= len(swarm.asked) <= 12
-    assert swarm.state.phase is MissionPhase.EXPLORATION
+    assert swarm.is_in(MissionPhase.EXPLORATION)
 
 
 def test_a_lost_landmark_is_replaced_where_it_stood_and_not_by_itself() -> None:
@@ -227,7 +230,7 @@ def test_another_round_lets_the_landmarks_go_and_takes_another_first_pick() -> N
     swarm = exploring(n_landmarks=2, redisperse_every_s=100, exploration_s=250)
     first = swarm.asked[:]
     swarm.tick(after_s=100)
-    assert swarm.state.phase is MissionPhase.DISPERSION
+    assert swarm.is_in(MissionPhase.DISPERSION)
     assert set(swarm.let_go) == set(first)
     for node in first:
         swarm.planner.released(node)
@@ -240,11 +243,11 @@ def test_another_round_lets_the_landmarks_go_and_takes_another_first_pick() -> N
     swarm.tick(after_s=60)
     swarm.tick()
     swarm.settle_all()
-    assert swarm.state.phase is MissionPhase.EXPLORATION
+    assert swarm.is_in(MissionPhase.EXPLORATION)
     swarm.tick(after_s=49)
-    assert swarm.state.phase is MissionPhase.EXPLORATION
+    assert swarm.is_in(MissionPhase.EXPLORATION)
     swarm.tick(after_s=2)
-    assert swarm.state.phase is MissionPhase.DONE, "exploration counts over all rounds: 100 + 100 + 50"
+    assert swarm.is_in(MissionPhase.DONE), "exploration counts over all rounds: 100 + 100 + 50"
 
 
 def test_a_pause_stops_the_time_of_a_phase() -> None:
@@ -259,9 +262,9 @@ def test_a_pause_stops_the_time_of_a_phase() -> None:
     assert swarm.order(MissionAction.RESUME) is None
     assert swarm.state.is_continued
     swarm.tick(after_s=19)
-    assert swarm.state.phase is MissionPhase.DISPERSION
+    assert swarm.is_in(MissionPhase.DISPERSION)
     swarm.tick(after_s=1)
-    assert swarm.state.phase is MissionPhase.LANDMARK_SELECTION
+    assert swarm.is_in(MissionPhase.LANDMARK_SELECTION)
 
 
 def test_after_a_stop_of_all_those_who_walked_walk_again_when_it_is_resumed_and_the_landmarks_stay() -> None:
@@ -283,10 +286,10 @@ def test_a_mission_that_is_done_stays_done_over_a_restart_until_it_is_ordered_to
     swarm.order(MissionAction.FINISH)
     swarm = swarm.restart()
     swarm.tick(after_s=1000)
-    assert swarm.state.phase is MissionPhase.DONE
+    assert swarm.is_in(MissionPhase.DONE)
     assert swarm.state.landmarks == landmarks, "they stay where they are"
     swarm.order(MissionAction.START)
-    assert swarm.state.phase is MissionPhase.DISPERSION
+    assert swarm.is_in(MissionPhase.DISPERSION)
     assert set(swarm.let_go) == landmarks
     assert swarm.state.round == 1
 
@@ -302,7 +305,7 @@ def test_a_killed_selection_goes_on_with_the_same_choice() -> None:
     swarm.tick()
     swarm.settle_all()
     assert swarm.state.landmarks == set(chosen)
-    assert swarm.state.phase is MissionPhase.EXPLORATION
+    assert swarm.is_in(MissionPhase.EXPLORATION)
 
 
 _events = st.one_of(
