@@ -5,16 +5,8 @@ import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
-import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-import gateway.journal
 from firmware_protocol.messages import Limits
-from firmware_protocol.units import NodeId
-from gateway.audit_log import AuditLog, facts_of
-from gateway.config import StimulationTable
+from gateway.audit_log import AuditLog
 from gateway.health import Health
 from gateway.journal import Journal
 from gateway.journal_file import AuditEntry, JournalReader
