@@ -191,6 +191,10 @@ class JournalReader:
         """Return the stages of all commands from an instant on, in order."""
         return self._audit("WHERE wall_ns >= ? AND command_id <> '' ORDER BY id", (wall_ns,))
 
+    def read_last_stages(self, *, limit: int) -> list[AuditEntry]:
+        """Return the newest stages of commands, in order."""
+        return self._audit("WHERE command_id <> '' ORDER BY id DESC LIMIT ?", (limit,))[::-1]
+
     def read_audit_trains(self, *, since_ran_ns: int) -> list[AuditEntry]:
         """Return the entries with trains that came to lie on disk after gateways had run so long on the journal, in order.
 
