@@ -53,6 +53,11 @@ class ControlBook:
         """All controls there are."""
         return MappingProxyType(self._controls)
 
+    def operator_of(self, node: NodeId) -> str:
+        """Return the operator who moves a biobot, or nothing."""
+        control = self._controls.get(node)
+        return "" if control is None else control.operator
+
     def moving(self) -> list[tuple[str, int]]:
         """Return each commander who moves anybody, and since when it last began to."""
         since: dict[str, int] = {}

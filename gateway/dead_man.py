@@ -7,15 +7,18 @@ was restarted meanwhile, or when it ends. A stop that the biobot does not confir
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, Protocol
 
 from firmware_protocol.contract.commands import CommandStage, PulseRequest, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.records import decode_record
+from firmware_protocol.errors import RecordError
 from firmware_protocol.units import EVERYBODY, NS_PER_S, Nanoseconds, NodeId
 from gateway.commanders import Commanders, Notes
 from gateway.control_book import Control, ControlBook
 from gateway.health import Health
+from gateway.journal_file import AuditEntry
 from gateway.log import EventLog
 
 _log = EventLog(__name__)
@@ -61,18 +64,20 @@ class _Owed:
 
 
 class DeadMan:
-    """Keeps account of controlled motion, and ends it; belongs to one event loop."""
+    """Keeps account of controlled motion in ``book``, and ends it; belongs to one event loop."""
 
     def __init__(
         self,
         *,
         gate: Gate,
+        book: ControlBook,
         commanders: Commanders,
         can_reach: Callable[[NodeId], bool],
         last_heard_ns: Callable[[NodeId], int],
         notes: Notes,
         health: Health,
         boot: int,
+        again_s: Sequence[float] = _AGAIN_S,
         clock_ns: Callable[[], int] = time.monotonic_ns,
         wall_clock: Callable[[], int] = time.time_ns,
     ) -> None:
@@ -83,11 +88,13 @@ class DeadMan:
         self._notes = notes
         self._health = health
         self._boot = boot
+        self._again_s = tuple(again_s)
         self._clock_ns = clock_ns
         self._wall_clock = wall_clock
-        self._book = ControlBook()
+        self._book = book
         self._owed: dict[NodeId, _Owed] = {}
         self._wake = asyncio.Event()
+        self._runs = asyncio.Event()
         self._tasks: asyncio.TaskGroup | None = None
         self._n_stops = 0
         commanders.listen(self._on_gone)
@@ -110,17 +117,24 @@ class DeadMan:
                 self._owe(control, "its commander went while the command was taken")
         self._wake.set()
 
-    def restore(self, stages: Iterable[tuple[StimulationRequest, CommandStage]]) -> None:
+    def restore(self, entries: Iterable[AuditEntry]) -> None:
         """Take what the journal knows, in order: whoever was moved when the process before this one ended is owed a stop."""
         now_ns = self._clock_ns()
-        for request, stage in stages:
-            self._book.note(request, stage, now_ns=now_ns)
+        for entry in entries:
+            try:
+                request, stage = decode_record(entry.request, StimulationRequest), decode_record(entry.body, CommandStage)
+            except RecordError:
+                self._health.count("dead_man.unread_entries")
+                continue
+            if entry.stage == stage.stage.value:  # else it is no stage of its own: a frame of a stop that was sent again
+                self._book.note(request, stage, now_ns=now_ns)
         for control in list(self._book.controlled.values()):
             self._owe(control, "the gateway was restarted while it was under control")
 
     async def run(self) -> None:
         """End controlled motion whenever it is to end, until cancelled."""
         async with asyncio.TaskGroup() as self._tasks:
+            self._runs.set()
             wanted_ns = self._clock_ns()
             while True:
                 now_ns = self._clock_ns()
@@ -134,28 +148,24 @@ class DeadMan:
                         wanted_ns = self._clock_ns()
                 self._wake.clear()
 
-    async def wind_down(self, whom: OnShutdown) -> None:
-        """Stop whom the gateway may not leave moving, now that it ends; waits for 2 s at most."""
+    async def wind_down(self, whom: OnShutdown, *, timeout_s: float = _WIND_DOWN_S) -> None:
+        """Stop whom the gateway may not leave moving, now that it ends, and wait for their confirmation; ``run`` runs meanwhile."""
+        await self._runs.wait()
+        assert self._tasks is not None
         controls = list(self._book.controlled.values())
         if whom == "none" or (whom == "controlled" and not controls):
             if controls:
                 _log.warning("dead_man.left_moving", nodes=[control.node for control in controls], on_shutdown=whom)
                 self._notes.note("dead_man", facts={"event": "left_moving", "nodes": [int(control.node) for control in controls]})
             return
-        reason = "the gateway ends"
-        if whom == "all":
-            stopping = {EVERYBODY: asyncio.ensure_future(self._stop(self._request(EVERYBODY, StimulationAction.STOP_ALL)))}
-        else:
-            stopping = {
-                control.node: asyncio.ensure_future(self._stop(self._request(control.node, StimulationAction.STOP))) for control in controls
-            }
-        await asyncio.wait(stopping.values(), timeout=_WIND_DOWN_S)
-        confirmed = [node for node, stop in stopping.items() if stop.done() and stop.result()]
-        others = [node for node in stopping if node not in confirmed]
-        for stop in stopping.values():
-            stop.cancel()
+        nodes = [EVERYBODY] if whom == "all" else [control.node for control in controls]
+        action = StimulationAction.STOP_ALL if whom == "all" else StimulationAction.STOP
+        stops = {node: self._tasks.create_task(self._stop(self._request(node, action))) for node in nodes}
+        await asyncio.wait(stops.values(), timeout=timeout_s)
+        confirmed = [node for node, stop in stops.items() if stop.done() and stop.result()]
+        others = [node for node in nodes if node not in confirmed]
         say = _log.error if others else _log.info
-        say("dead_man.wound_down", reason=reason, confirmed=confirmed, unconfirmed=others)
+        say("dead_man.wound_down", confirmed=confirmed, unconfirmed=others)
         facts = {"event": "wound_down", "confirmed": [int(node) for node in confirmed], "unconfirmed": [int(node) for node in others]}
         self._notes.note("dead_man", facts=facts, operator=OPERATOR)
 
@@ -215,7 +225,7 @@ class DeadMan:
         pulse = PulseRequest(duration_ms=0) if owed.has_ended_itself else None
         await self._stop(self._request(owed.control.node, StimulationAction.STOP, pulse=pulse))
         owed.is_under_way = False
-        owed.next_ns = self._clock_ns() + int(_AGAIN_S[min(owed.attempts, len(_AGAIN_S)) - 1] * NS_PER_S)
+        owed.next_ns = self._clock_ns() + int(self._again_s[min(owed.attempts, len(self._again_s)) - 1] * NS_PER_S)
         self._wake.set()
 
     def _is_settled(self, owed: _Owed) -> bool:

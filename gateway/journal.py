@@ -54,7 +54,6 @@ _UNSTORABLE = (OverflowError, TypeError, ValueError, struct.error)
 
 _MACHINE_BOOT = Path("/proc/sys/kernel/random/boot_id")
 _FIRST_RETRY_S, _MAX_RETRY_S = 0.1, 2.0
-
 _KEEP_ALL = Retention()
 _TIDY_PERIOD_S, _TIDY_AGAIN_S = 1.0, 0.02
 _TIDY_AFTER = 64

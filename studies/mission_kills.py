@@ -69,8 +69,8 @@ def kill_a_mission(plan: Plan, *, out: Path) -> Ending:
     n_killed_choosing = 0
     with Parts(out=out) as parts:
         parts.start(
-            "simulator", "simulator", "serve", "--scenario", "two-obstacles", "--link", f"pty:{out / 'radio'}", "--biobots", plan.biobots, "--seed", plan.seed,
-            "--neighbours-period-s", 0.5, "--ready-file", ready, "--out", out / "truth",
+            "simulator", "simulator", "serve", "--scenario", "two-obstacles", "--link", f"pty:{out / 'radio'}", "--biobots", plan.biobots,
+            "--seed", plan.seed, "--neighbours-period-s", 0.5, "--ready-file", ready, "--out", out / "truth",
         )  # fmt: skip
         parts.wait(ready.exists, what="the simulator is ready")
         for number in range(plan.kills):

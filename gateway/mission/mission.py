@@ -99,6 +99,7 @@ class Mission:
         self._held_since_ns = now_ns
         """Since when landmarks' silence is judged: at a pause and before this process nobody listened."""
         self._waiting: list[MissionStep] = []
+        self._ordered: list[tuple[MissionOrder, Callable[[MissionAnswer], None]]] = []
         self._has_heard_choice = False
         self._wake = asyncio.Event()
         self._resume(reader, now_ns=now_ns)
@@ -116,6 +117,9 @@ class Mission:
             while True:
                 now_ns = time.monotonic_ns()
                 self._chronicle.write()
+                ordered, self._ordered = self._ordered, []
+                for order, tell in ordered:
+                    tasks.create_task(self._answer_order(order, tell))
                 self._take_waiting(tasks)
                 self._look(now_ns=now_ns)
                 known = self._known(now_ns=now_ns) if self._needs_to_know() else set()
@@ -127,7 +131,7 @@ class Mission:
                 self._take_waiting(tasks)
                 self._watch.set_landmarks(self.state.landmarks, now_ns=now_ns)
                 self._wake.clear()
-                if not self._waiting:
+                if not self._waiting and not self._ordered:
                     try:
                         async with asyncio.timeout(_TICK_S):
                             await self._wake.wait()
@@ -154,6 +158,11 @@ class Mission:
         if self._proceed(steps) and self._chronicle.on_disk is not None:
             await asyncio.wait({self._chronicle.on_disk}, timeout=_ON_DISK_S)
         return answer
+
+    def take_order(self, order: MissionOrder, tell: Callable[[MissionAnswer], None]) -> None:
+        """Have the task take an order, and tell its answer; orders that wait when it ends are not answered."""
+        self._ordered.append((order, tell))
+        self._wake.set()
 
     def on_stage(self, request: StimulationRequest, stage: CommandStage) -> None:
         """Hear of every command's stages: a stop of all pauses the mission, and who starts a landmark takes it away."""
@@ -358,6 +367,9 @@ class Mission:
         facts = {"phase": state.phase.value, "round": state.round, "landmarks": sorted(state.landmarks), "reason": state.reason}
         self._note("mission.phase", facts=facts, operator=state.operator)
         _log.info("mission.phase", phase=state.phase.value, landmarks=len(state.landmarks), round=state.round, reason=state.reason)
+
+    async def _answer_order(self, order: MissionOrder, tell: Callable[[MissionAnswer], None]) -> None:
+        tell(await self.handle_order(order))
 
     def _answer(self, order: MissionOrder, *, refusal: str | None) -> MissionAnswer:
         state = self.state
