@@ -91,9 +91,10 @@ async def mapper_side(
     window_ns: int | None = None,
     min_interval_s: float = 0.1,
     clock: Callable[[], int] = time.time_ns,
+    more_ports: Sequence[int] = (),
 ) -> AsyncIterator[Side]:
     records = await StoreThread.open(store)
-    bus = await Bus.open(site=SITE, connect=(f"tcp/127.0.0.1:{port}",), listen=())
+    bus = await Bus.open(site=SITE, connect=tuple(f"tcp/127.0.0.1:{one}" for one in (port, *more_ports)), listen=())
     fleet, changes = Fleet(), Changes()
     log, accounts = CommandLog(changes=changes), StimulationAccounts()
     intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=log, accounts=accounts)

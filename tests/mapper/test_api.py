@@ -4,55 +4,26 @@ import asyncio
 import json
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
 from http import HTTPStatus
-from typing import Any
 
 import httpx
-import jsonschema
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.routing import Route
 
 from firmware_protocol.contract.commands import Stage
 from firmware_protocol.contract.records import MissionPhase
-from firmware_protocol.units import NodeId
 from mapper import errors
-from mapper.api.app import create_app, create_unguarded_app
+from mapper.api.app import create_unguarded_app
 from mapper.api.errors import STATUS_OF
 from mapper.api.event_stream import EventStream
 from mapper.api.guards import MAX_BODY_BYTES
 from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, account, encounter, free_port, mission
 from tests.mapper.mapper_side import Side, mapper_side, until
 from tests.mapper.ring import ring_records
+from tests.mapper.web_side import BASE, check_against, client_of, meet, openapi_of
 
-BASE = "http://127.0.0.1"
 HUGE = 2**64 - 1
-
-
-@asynccontextmanager
-async def client_of(side: Side) -> AsyncIterator[httpx.AsyncClient]:
-    app = create_app(side.services, stream=EventStream(side.changes), allowed_hosts={"127.0.0.1", "localhost"})
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app, raise_app_exceptions=False), base_url=BASE) as client:
-        yield client
-
-
-def openapi_of(side: Side) -> dict[str, Any]:
-    return create_unguarded_app(side.services, stream=EventStream(side.changes)).openapi()
-
-
-def check_against(document: dict[str, Any], path: str, answer: httpx.Response, *, method: str = "get") -> None:
-    """The status is a documented one, and the body is as described."""
-    described = document["paths"][path][method]["responses"][str(answer.status_code)]
-    content = described.get("content", {})
-    media_type = answer.headers.get("content-type", "").split(";")[0]
-    if answer.status_code == HTTPStatus.NOT_MODIFIED:
-        assert answer.content == b""
-        return
-    assert media_type in content
-    if "json" in media_type:
-        schema = {**content[media_type]["schema"], "components": document["components"]}
-        jsonschema.Draft202012Validator(schema).validate(answer.json())
 
 
 def run(story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]], *, with_map: bool = False) -> None:
@@ -64,12 +35,6 @@ def run(story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]]
                 await story(side, gateway, client)
 
     asyncio.run(whole())
-
-
-async def meet(side: Side, gateway: FakeGateway, node: int) -> None:
-    gateway.publish_status()
-    gateway.publish_node(node)
-    await until(lambda: side.fleet.gateway_of(NodeId(node)) is not None)
 
 
 def test_every_answer_is_as_the_openapi_document_says() -> None:
