@@ -80,6 +80,20 @@ class DownlinkSender:
             raise refusal
         return futures
 
+    def send_to_all(self, message: Downlink) -> "dict[str, asyncio.Future[RadioOutcome]]":
+        """Send an urgent message by broadcast, one frame on each radio that is up; return what tells its fate, by radio."""
+        payload = encode_downlink(self._sequence, message)
+        self._sequence = (self._sequence + 1) % _SEQUENCE_MODULUS
+        futures: dict[str, asyncio.Future[RadioOutcome]] = {}
+        for radio, coordinator in self._coordinators.items():
+            with contextlib.suppress(RadioUnavailableError):
+                futures[radio] = coordinator.send_to_all(payload)
+        return futures
+
+    def withdraw(self, sending: "asyncio.Future[RadioOutcome]") -> bool:
+        """Take back what ``send`` sent, where it was not written; True: it never will be, and its future says so (``Fate.NOT_SENT``)."""
+        return any(coordinator.withdraw(sending) for coordinator in self._coordinators.values())
+
     def radio_of(self, node: NodeId) -> str | None:
         """Return the radio over which a biobot is reached, None where it was never heard."""
         known = self._nodes.find(node)
@@ -89,6 +103,11 @@ class DownlinkSender:
         """Return whether a radio takes payloads now."""
         coordinator = self._coordinators.get(radio)
         return coordinator is not None and coordinator.is_up
+
+    def can_reach(self, node: NodeId) -> bool:
+        """Return whether the radio of a biobot takes payloads now."""
+        radio = self.radio_of(node)
+        return radio is not None and self.is_radio_up(radio)
 
     def n_pending(self, node: NodeId) -> int:
         """Return how many payloads wait for their fate at the radio of a biobot."""
