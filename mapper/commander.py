@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from firmware_protocol.units import NS_PER_MS
 from mapper.bus import Bus
 from mapper.controlled_motion import ControlledMotion
 from mapper.log import EventLog
@@ -21,18 +22,27 @@ BEAT_S: Final = 0.25
 class Commander:
     """Holds the token of this mapper, and beats while it has anybody under control; ``run`` is its task."""
 
-    def __init__(self, *, bus: Bus, name: str, monotonic_ns: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self,
+        *,
+        bus: Bus,
+        name: str,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+        wall_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
         self.name = name
         self.motion = ControlledMotion()
         self._bus = bus
         self._now_ns = monotonic_ns
+        self._wall_ns = wall_ns
         self._is_there = asyncio.Event()
 
     async def run(self) -> None:
         """Be there, until cancelled. The token waits until the mapper's name is known to be its own alone."""
         await self._bus.be_commander(self.name)
         self._is_there.set()
-        number = 0
+        # Higher than those of a life before, whose token a gateway may still take for this one's.
+        number = self._wall_ns() // NS_PER_MS
         while True:
             if self.motion.nodes(now_ns=self._now_ns()):
                 self._bus.publish_beat(commander=self.name, number=number)
