@@ -1,5 +1,6 @@
 """The journal's file: segments of records and reports in SQLite, written by one gateway and read by anybody (docs/journal.md)."""
 
+from gateway.journal_file.audit_chain import ChainHead
 from gateway.journal_file.description import describe_journal, expect_fit_to_open, expect_journal
 from gateway.journal_file.file import PROGRESS, SESSIONS_PER_START, JournalFile, open_journal_file
 from gateway.journal_file.integrity import check_journal
@@ -15,6 +16,7 @@ __all__ = [
     "PROGRESS",
     "SESSIONS_PER_START",
     "AuditEntry",
+    "ChainHead",
     "Committed",
     "Damage",
     "JournalFile",

@@ -321,6 +321,8 @@ class StimulationGate:
             wire_command=command.wire_command,
             stage=row or stage.stage.value,
             node=stage.node,
+            operator=command.request.operator,
+            mono_ns=time.monotonic_ns(),
             train_ms=train_ms,
             request=encode_record(command.request),
             body=encode_record(stage),
@@ -371,7 +373,7 @@ class StimulationGate:
         now_wall_ns, now_ns = self._wall_clock(), time.monotonic_ns()
         since_wall_ns = now_wall_ns - int(self._config.window_s * NS_PER_S)
         for entry in self._reader.read_audit_since(since_wall_ns):
-            if entry.train_ms:
+            if entry.train_ms and entry.node is not None:
                 # A wall clock that was set back makes old trains look new, never the other way round: it errs to the safe side.
                 at_ns = now_ns - max(0, now_wall_ns - entry.wall_ns)
                 self._ledger.admit(entry.node, train_ms=entry.train_ms, at_ns=at_ns)
