@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 from firmware_protocol.contract.commands import Stage, StimulationAccount
 from firmware_protocol.units import NS_PER_MS, Nanoseconds, NodeId
 from gateway.config import StimulationTable
-from gateway.journal_file import AuditEntry
+from gateway.journal_file import STAGE, AuditEntry
 from gateway.nodes import NodeBook
 from gateway.stimulation.habituation import Habituation
 from gateway.stimulation.ledger import TrainLedger
 from gateway.stimulation.telling import NOT_OBEYED, OBEYED, TAKEN_BACK
 
-_UNSENT = frozenset({Stage.REFUSED.value, Stage.FAILED.value, TAKEN_BACK})
+_UNSENT = frozenset({Stage.REFUSED, Stage.FAILED})
+_STAGES = {stage.value: stage for stage in Stage}
 _MAX_OPEN = 64
 """Trains of one biobot that may yet prove not to have been given; older ones count."""
 
@@ -62,22 +63,23 @@ class Accounts:
         account = self._accounts.get(entry.node)
         if account is None:
             account = self._accounts[entry.node] = _Account()
+        stage = _STAGES.get(entry.stage) if entry.kind == STAGE else None
+        if stage in {Stage.ACCEPTED, Stage.REFUSED} and entry.command_id not in account.open:
+            account.n_commands += 1
         if entry.train_ms:
             self._add_train(account, entry)
-        if entry.stage in {Stage.ACCEPTED.value, Stage.REFUSED.value} and entry.command_id not in account.open:
-            account.n_commands += 1
-        if entry.stage == Stage.ACCEPTED.value:
+        elif stage is Stage.ACCEPTED:
             account.open.setdefault(entry.command_id, (0, account.habituation, account.last_train_wall_ns))
-            while len(account.open) > _MAX_OPEN:
-                del account.open[next(iter(account.open))]
-        account.n_confirmed += entry.stage == Stage.BIOBOT_CONFIRMED.value
-        account.n_unknown += entry.stage == Stage.UNKNOWN.value
-        account.n_refused += entry.stage == Stage.REFUSED.value
-        account.n_answerable += entry.stage in {OBEYED, NOT_OBEYED}
-        account.n_obeyed += entry.stage == OBEYED
-        if entry.stage in _UNSENT:
+        while len(account.open) > _MAX_OPEN:
+            del account.open[next(iter(account.open))]
+        account.n_confirmed += stage is Stage.BIOBOT_CONFIRMED
+        account.n_unknown += stage is Stage.UNKNOWN
+        account.n_refused += stage is Stage.REFUSED
+        account.n_answerable += entry.kind in {OBEYED, NOT_OBEYED}
+        account.n_obeyed += entry.kind == OBEYED
+        if stage in _UNSENT or entry.kind == TAKEN_BACK:
             self._take_train_back(account, entry.command_id)
-        elif entry.stage in {Stage.BIOBOT_CONFIRMED.value, Stage.UNKNOWN.value}:
+        elif stage in {Stage.BIOBOT_CONFIRMED, Stage.UNKNOWN}:
             account.open.pop(entry.command_id, None)
 
     def of(self, node: NodeId, *, now_ns: int, wall_ns: int) -> StimulationAccount | None:

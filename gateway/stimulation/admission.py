@@ -42,20 +42,11 @@ def admit(request: StimulationRequest, *, table: StimulationTable, ledger: Train
     node = so.node
     if node is None:
         return unknown_biobot(request)
-    if so.is_stopping:
-        return Refused(refusal=Refusal.STOPPING, reason="the gateway is about to end; send it when it runs again")
-    if (unfit := _why_unfit(node)) or (unfit := _why_late(request, table=table, now_wall_ns=so.now_wall_ns)):
-        return unfit
-    if not so.is_commander_there:
-        reason = f"its commander {request.commander!r} is not there: no liveliness token of that name; declare it first, and send the command anew"
-        return Refused(refusal=Refusal.NO_COMMANDER, reason=reason)
-    if so.n_running >= MAX_RUNNING:
-        return Refused(refusal=Refusal.TOO_MANY, reason=f"{so.n_running} commands are under way, the limit is {MAX_RUNNING}; wait for their answers")
-    if so.n_running_of_node >= MAX_RUNNING_OF_ONE:
-        reason = f"{so.n_running_of_node} commands to this biobot are under way, the limit is {MAX_RUNNING_OF_ONE}; wait for their answers"
-        return Refused(refusal=Refusal.TOO_MANY, reason=reason)
-    if so.journal_fault is not None:
-        return Refused(refusal=Refusal.JOURNAL, reason=f"the journal takes nothing ({so.journal_fault}); make room on its disk")
+    refused = (
+        _why_unfit(node) or _why_late(request, table=table, now_wall_ns=so.now_wall_ns) or _why_unattended(request, so) or _why_too_many(so)
+    )
+    if refused is not None:
+        return refused
     pulse = pulse_of(request.pulse, table)
     if pulse.duration_ms == 0 and request.action is not StimulationAction.START:
         return Refused(refusal=Refusal.PULSE, reason="a turn without a train is none: duration_ms is 0; ask for 1 ms or more")
@@ -96,4 +87,24 @@ def _why_late(request: StimulationRequest, *, table: StimulationTable, now_wall_
     if remaining_ms(request, now_wall_ns=now_wall_ns) <= 0:
         reason = f"it is stale: issued {-ahead_ms} ms ago with a time to live of {request.ttl_ms} ms; send it anew"
         return Refused(refusal=Refusal.STALE, reason=reason)
+    return None
+
+
+def _why_unattended(request: StimulationRequest, so: Circumstances) -> Refused | None:
+    """Return why nobody would look after the command: the gateway ends, its commander is away, or the disk keeps no record of it."""
+    if so.is_stopping:
+        return Refused(refusal=Refusal.STOPPING, reason="the gateway is about to end; send it when it runs again")
+    if not so.is_commander_there:
+        reason = f"its commander {request.commander!r} is not there: it has no liveliness token; declare it, and send the command anew"
+        return Refused(refusal=Refusal.NO_COMMANDER, reason=reason)
+    if so.journal_fault is not None:
+        return Refused(refusal=Refusal.JOURNAL, reason=f"the journal takes nothing ({so.journal_fault}); make room on its disk")
+    return None
+
+
+def _why_too_many(so: Circumstances) -> Refused | None:
+    for n, limit, whose in ((so.n_running, MAX_RUNNING, ""), (so.n_running_of_node, MAX_RUNNING_OF_ONE, " to this biobot")):
+        if n >= limit:
+            reason = f"{n} commands{whose} are under way, the limit is {limit}; wait for their answers"
+            return Refused(refusal=Refusal.TOO_MANY, reason=reason)
     return None

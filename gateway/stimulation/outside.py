@@ -1,7 +1,7 @@
 """What the gate needs of the rest of the gateway: a way to the radios, a journal, and what the journal has. Nothing else is the outside."""
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
 
 from firmware_protocol.contract.commands import CommandStage, StimulationAccount, StimulationRequest
@@ -62,12 +62,12 @@ class AuditReader(Protocol):
         """Return all rows of a command, in order."""
         ...
 
-    def read_newest_audit(self, *, limit: int) -> Sequence[AuditEntry]:
-        """Return the newest rows of all commands, in order."""
+    def read_newest_audit(self, *, limit: int) -> Iterable[AuditEntry]:
+        """Yield the newest rows of commands, in order."""
         ...
 
-    def read_ran_ns(self) -> int:
-        """Return how long gateways had run on the journal when it was last written to [ns]."""
+    def read_last_audit(self, *, kind: str) -> AuditEntry | None:
+        """Return the newest row of a kind that is no stage."""
         ...
 
     def read_last_wire_command(self) -> int | None:

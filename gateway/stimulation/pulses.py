@@ -1,4 +1,4 @@
-"""The pulse train that a command gives: its own values over the configuration's, within the limits of both configuration and backpack. Pure.
+"""The pulse train that a command gives: its own values over the configuration's, within the limits of that and of the backpack. Pure.
 
 The table in the configuration is the gateway's own limit; what a backpack announces makes it stricter, never looser. A refusal names
 the value, whose limit it breaks, and what would do.
@@ -65,8 +65,8 @@ def _beyond_table(pulse: Pulse, table: StimulationTable) -> str | None:
         if getattr(pulse, name) > limit:
             return f"{_said(pulse, name)}, but stimulation.{key} is {limit} {_UNITS[name]}; {_ask(pulse, name, f'{limit} or less')}"
     if pulse.frequency_hz < table.min_frequency_hz:
-        limit = table.min_frequency_hz
-        return f"{_said(pulse, 'frequency_hz')}, but stimulation.min_frequency_hz is {limit} Hz; {_ask(pulse, 'frequency_hz', f'{limit} or more')}"
+        limit = f"stimulation.min_frequency_hz is {table.min_frequency_hz} Hz"
+        return f"{_said(pulse, 'frequency_hz')}, but {limit}; {_ask(pulse, 'frequency_hz', f'{table.min_frequency_hz} or more')}"
     if "waveform" in pulse.asked and pulse.waveform is WaveformName.MONOPHASIC and not table.allows_unbalanced:
         return "it asks for waveform = monophasic, but stimulation.allows_unbalanced is false; ask for symmetric or asymmetric"
     if _LAST_CHANNEL < pulse.channel < OWN_CHANNEL:
@@ -81,7 +81,7 @@ def _beyond_period(pulse: Pulse) -> str | None:
     longest_us = _US_PER_S // (n_phases * pulse.frequency_hz)
     if pulse.pulse_width_us > longest_us:
         return (
-            f"{_said(pulse, 'pulse_width_us')}, but at {pulse.frequency_hz} Hz {n_phases} phases of at most {longest_us} us fit into a period; "
+            f"{_said(pulse, 'pulse_width_us')}, but at {pulse.frequency_hz} Hz {n_phases} phases of {longest_us} us fit into a period; "
             f"{_ask(pulse, 'pulse_width_us', f'{longest_us} or less')}"
         )
     return None

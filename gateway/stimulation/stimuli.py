@@ -75,6 +75,9 @@ class Stimuli:
             command.train = self._ledger.reserve(node, train_ms=pulse.duration_ms, latest_ns=latest_ns, now_ns=began_ns)
         accepted = self._teller.stage(command, Stage.ACCEPTED, deadline_ns=until_ns + self._radio_timeout_ns)
         is_on_disk = await self._teller.commit(command, accepted, train_ms=pulse.duration_ms)
+        if command.is_final:  # the gateway ends
+            self._take_back(command)
+            return
         refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns)
         if refused is None:
             ttl_ms = remaining_ms(command.request, now_wall_ns=self._wall_clock())
@@ -98,7 +101,7 @@ class Stimuli:
         deadline_ns = sent_ns + self._radio_timeout_ns
         unwritten_ns = sent_ns + int(UNWRITTEN_S * NS_PER_S)
         outcome: RadioOutcome | None = None
-        while not command.reply.done():
+        while not command.reply.done() and not command.is_final:
             now_ns = self._now_ns()
             if outcome is None and not sending.done() and now_ns >= unwritten_ns:
                 self._sender.withdraw(sending)  # where it was not written, its fate is settled by that
@@ -116,7 +119,8 @@ class Stimuli:
                 return
             awaited, until_ns = ([sending], min(unwritten_ns, deadline_ns)) if outcome is None else ([], deadline_ns)
             await self._answers.wait(command, awaited, until_ns=until_ns)
-        self._answers.settle(command)
+        if not command.is_final:
+            self._answers.settle(command)
 
     def _next_deadline_ns(self, outcome: RadioOutcome, *, deadline_ns: int, now_ns: int) -> int:
         """Return by when the biobot answers; without a radio's confirmation no later than that was due."""
@@ -128,7 +132,9 @@ class Stimuli:
         if command.is_overtaken:
             await self._teller.refuse(command, _OVERTAKEN)
         else:
-            self._teller.tell(command, Stage.FAILED, reason=f"the dongle did not send it: {outcome.reason or 'its line took nothing in time'}")
+            self._teller.tell(
+                command, Stage.FAILED, reason=f"the dongle did not send it: {outcome.reason or 'its line took nothing in time'}"
+            )
 
     def _what_is_missing(self, outcome: RadioOutcome | None) -> str:
         reply_s, radio_s = self._table.reply_timeout_s, self._radio_timeout_ns / NS_PER_S

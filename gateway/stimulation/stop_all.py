@@ -15,6 +15,7 @@ from firmware_protocol.messages import Stimulate
 from firmware_protocol.units import NS_PER_S, NodeId
 from gateway.config import StimulationTable
 from gateway.errors import RadioUnavailableError
+from gateway.journal_file import SENT_AGAIN
 from gateway.nodes import NodeBook
 from gateway.radio import Fate
 from gateway.stimulation import frames
@@ -23,7 +24,7 @@ from gateway.stimulation.commands import Command, CommandBook
 from gateway.stimulation.outside import CommandSender, Sending
 from gateway.stimulation.pulses import pulse_of
 from gateway.stimulation.stops import Stops
-from gateway.stimulation.telling import SENT_AGAIN, StageTeller
+from gateway.stimulation.telling import StageTeller
 
 REACHABLE_NS = 300 * NS_PER_S
 """A biobot heard no longer ago than this is within reach: its confirmation is waited for."""
@@ -69,9 +70,7 @@ class StopAll:
 
     async def run(self, whole: Command) -> None:
         """Take a stop of everybody to its last stage."""
-        sweep = _Sweep(
-            whole=whole, table=self._table, sender=self._sender, teller=self._teller, answers=self._answers, now_ns=self._now_ns
-        )
+        sweep = _Sweep(whole=whole, table=self._table, sender=self._sender, teller=self._teller, answers=self._answers, now_ns=self._now_ns)
         sweep.broadcast()
         self._stops.overtake(self._book.running())
         sweep.begin(n_known=len(self._nodes))
@@ -233,7 +232,9 @@ class _Sweep:
         n_near, n_far = len(self._within_reach), len(self.parts) - len(self._within_reach)
         beyond = f"; {n_far} others were not heard of late, and were sent one stop each" if n_far else ""
         if not any(one.sendings for one in (self._whole, *self.parts)):
-            self._teller.tell(self._whole, Stage.FAILED, reason=f"nothing could be sent: {self._why_unsent}; look at the animals and the radios")
+            self._teller.tell(
+                self._whole, Stage.FAILED, reason=f"nothing could be sent: {self._why_unsent}; look at the animals and the radios"
+            )
         elif silent:
             names = ", ".join(str(part.request.node) for part in silent[:_NAMED])
             more = f" and {len(silent) - _NAMED} more" if len(silent) > _NAMED else ""

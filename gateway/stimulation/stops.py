@@ -12,16 +12,17 @@ from firmware_protocol.units import NS_PER_S, NodeId
 from gateway.config import StimulationTable
 from gateway.errors import RadioUnavailableError
 from gateway.health import Health
+from gateway.journal_file import SENT_AGAIN
 from gateway.nodes import NodeBook
 from gateway.radio import Fate
 from gateway.stimulation import frames
 from gateway.stimulation.answers import AnswerKeeper
 from gateway.stimulation.commands import Command, CommandBook
 from gateway.stimulation.ledger import TrainLedger
-from gateway.stimulation.outside import CommandSender, Sending
+from gateway.stimulation.outside import CommandSender
 from gateway.stimulation.pulses import Pulse, pulse_of, pulse_refusal
 from gateway.stimulation.stimuli import Flight
-from gateway.stimulation.telling import SENT_AGAIN, TAKEN_BACK, StageTeller
+from gateway.stimulation.telling import TAKEN_BACK, StageTeller
 
 MAX_STOPS_OF_ONE = 8
 """Stops of one biobot that are under way; another one ends the oldest of them, whose place it takes."""
@@ -171,4 +172,3 @@ class Stops:
             reason = f"{MAX_STOPS_OF_ONE} newer stops of this biobot are under way, the limit; theirs is the answer"
             self._teller.tell(oldest, Stage.UNKNOWN, reason=reason)
             oldest.overtake()
-

@@ -5,13 +5,14 @@ Each comes to the audit log and to the listeners in one place; a listener that f
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 
-from firmware_protocol.contract.commands import CommandStage, Refusal, Stage, StimulationRequest
+from firmware_protocol.contract.commands import CommandStage, Refusal, Stage
 from firmware_protocol.contract.records import Mode, encode_record
 from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.errors import JournalFullError
 from gateway.health import Health
-from gateway.journal_file import AuditEntry, JournalWrite
+from gateway.journal_file import STAGE, AuditEntry, JournalWrite
 from gateway.log import EventLog
 from gateway.stimulation.commands import Command
 from gateway.stimulation.outside import CommandJournal, CommandListener, StageListener
@@ -22,11 +23,8 @@ _log = EventLog(__name__)
 COMMIT_TIMEOUT_S = 1.0
 """A command that is not on disk after this is refused: the disk is full or broken."""
 
-SENT_AGAIN = "sent_again"
-"""Row of the audit log: a stop was sent once more; nobody is told."""
-
 LATE_REPLY = "late_reply"
-"""The same: a biobot's answer came when its command's last stage had been told."""
+"""Kind of a row of the audit log that nobody is told: a biobot's answer came when its command's last stage had been told."""
 
 STRAYED = "strayed"
 """The same: another biobot than the one meant has obeyed, and has got the train."""
@@ -36,9 +34,6 @@ TAKEN_BACK = "taken_back"
 
 OBEYED, NOT_OBEYED = "obeyed", "not_obeyed"
 """The same: the mode that the biobot reported after the command."""
-
-UNTOLD = frozenset({SENT_AGAIN, LATE_REPLY, STRAYED, TAKEN_BACK, OBEYED, NOT_OBEYED})
-"""Rows that are no stage."""
 
 
 class StageTeller:
@@ -59,13 +54,13 @@ class StageTeller:
         self._now_ns = now_ns
         self._wall_clock = wall_clock
         self._listeners: list[CommandListener] = []
-        self._row_listeners: list[Callable[[StimulationRequest, AuditEntry], None]] = []
+        self._row_listeners: list[Callable[[AuditEntry], None]] = []
 
     def listen(self, listener: CommandListener) -> None:
         """Have ``listener`` called in the loop with every stage of every command, after it was given to the journal."""
         self._listeners.append(listener)
 
-    def listen_to_rows(self, listener: Callable[[StimulationRequest, AuditEntry], None]) -> None:
+    def listen_to_rows(self, listener: Callable[[AuditEntry], None]) -> None:
         """Have ``listener`` called with every row that is given to the journal, or would be."""
         self._row_listeners.append(listener)
 
@@ -148,13 +143,13 @@ class StageTeller:
         if stage.is_final:
             _log.info("command.done", command=stage.command_id, node=stage.node, action=stage.action.value, outcome=stage.stage.value)
         for listener in command.listeners:
-            self._call(listener, stage)
+            self._call(stage.command_id, partial(listener, stage))
         for hears_all in self._listeners:
-            self._call(lambda told, hears=hears_all: hears(command.request, told), stage)  # type: ignore[misc]  # mypy sees no type in a lambda's default
+            self._call(stage.command_id, partial(hears_all, command.request, stage))
 
     def answer(self, listener: StageListener, stage: CommandStage) -> None:
         """Tell one listener alone."""
-        self._call(listener, stage)
+        self._call(stage.command_id, partial(listener, stage))
 
     def write(
         self, command: Command, stage: CommandStage, *, train_ms: int = 0, row: str | None = None, node: NodeId | None = None
@@ -164,23 +159,26 @@ class StageTeller:
             wall_ns=self._wall_clock(),
             command_id=stage.command_id,
             wire_command=command.wire_command,
-            stage=row or stage.stage.value,
+            kind=row or STAGE,
+            stage=stage.stage.value,
             node=stage.node if node is None else node,
+            operator=command.request.operator,
+            mono_ns=self._now_ns(),
             train_ms=train_ms,
             request=encode_record(command.request),
             body=encode_record(stage),
         )
         for listener in self._row_listeners:
-            listener(command.request, entry)
+            self._call(stage.command_id, partial(listener, entry))
         try:
             return self._journal.append(JournalWrite(audit=entry))
         except JournalFullError as error:
-            _log.error("command.not_journaled", command=stage.command_id, stage=entry.stage, reason=str(error))
+            _log.error("command.not_journaled", command=stage.command_id, stage=entry.stage, kind=entry.kind, reason=str(error))
             return None
 
-    def _call(self, listener: StageListener, stage: CommandStage) -> None:
+    def _call(self, command_id: str, tell: Callable[[], None]) -> None:
         try:
-            listener(stage)
+            tell()
         except Exception as error:  # noqa: BLE001  # whoever listens is no reason to leave an animal as it is
             self._health.count("command.broken_listener")
-            _log.error("command.broken_listener", command=stage.command_id, reason=f"{type(error).__name__}: {error}")
+            _log.error("command.broken_listener", command=command_id, reason=f"{type(error).__name__}: {error}")
