@@ -287,8 +287,8 @@ class Bus:
 
         def ask() -> None:
             session = self._session.current
-            if session is None:
-                hand_over(None)  # nobody is there
+            if session is None or not session.info.transports():
+                hand_over(None)  # nobody is there; a client would wait until the query's time is over
                 return
             session.get(
                 key,
