@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for action in (verify, show, export, stats):
         action.add_argument("file", type=Path, metavar="FILE", help="journal, of a running gateway or not")
     help_text = f"a hash that was noted, or its first {_MIN_DIGITS} digits or more: exit status 1 where the log does not have it"
-    verify.add_argument("--head", type=_digits, metavar="HASH", default="", help=help_text)
+    verify.add_argument("--head", type=_digits, metavar="HASH", help=help_text)
     for action in (show, export):
         action.add_argument("--node", type=int, metavar="N", help="of this biobot")
         action.add_argument("--operator", metavar="X", help="of this operator")
@@ -62,7 +62,7 @@ def audit(options: argparse.Namespace) -> int:
         match options.action:
             case "verify":
                 with progress() as tell:
-                    return _verify(path, witness=options.head, tell=tell)
+                    return _verify(path, witness=options.head or "", tell=tell)
             case "show":
                 return _show(path, _selection(options), is_json=options.json, follows=options.follow)
             case "export":
