@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from firmware_protocol.contract.commands import StimulationRequest
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus
+from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, NodeStatus
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level
@@ -59,7 +59,7 @@ Python's 5 ms each, commits took 20 ms under load instead of 3, and a dongle wit
 (measured 2026-11)."""
 
 _REMEMBERED_STAGES = 30_000
-"""So many stages of commands are looked through at a start for biobots that were under control when the gateway ended."""
+"""So many rows of the audit log are looked through at a start for biobots that were under control when the gateway ended."""
 
 _DRAIN_TIMEOUT_S = 5.0
 _CANCEL_AGAIN_S = 0.5
@@ -179,6 +179,9 @@ class Service:
             on_refused=partial(self._on_unconfigured, bus),
             first_token=journal.identity.first_session,
         )
+        audit = AuditLog(journal=journal, reader=reader, health=health)
+        book = ControlBook()
+        commanders = Commanders(silence_s=config.stimulation.commander_silence_s, health=health, notes=audit)
         gate = StimulationGate(
             gateway=config.name,
             config=config.stimulation,
@@ -187,10 +190,12 @@ class Service:
             journal=journal,
             reader=reader,
             health=health,
+            instant_of=journal.identity.instant_of,
+            radio_timeout_s=config.link.radio_timeout_s,
+            is_commander_there=commanders.is_there,
+            controlled=book.controlled.keys,
+            controller_of=book.operator_of,
         )
-        audit = AuditLog(journal=journal, reader=reader, health=health)
-        book = ControlBook()
-        commanders = Commanders(silence_s=config.stimulation.commander_silence_s, health=health, notes=audit)
         dead_man = DeadMan(
             gate=gate,
             book=book,
@@ -201,13 +206,14 @@ class Service:
             health=health,
             boot=journal.boot,
         )
-        dead_man.restore(reader.read_last_stages(limit=_REMEMBERED_STAGES))
+        dead_man.restore(reader.read_newest_audit(limit=_REMEMBERED_STAGES))
         gate.listen(dead_man.hear)
         gate.listen(lambda _request, stage: bus.publish_stage(stage))
+        gate.listen_to_accounts(bus.publish_account)
         intake.connect(
             IntakeListeners(
                 on_committed=acknowledger.mark,
-                on_status=bus.publish_node_status,
+                on_status=partial(self._on_status, bus, gate),
                 on_neighbours=bus.publish_neighbours,
                 on_reply=gate.on_reply,
                 on_duplicate=partial(self._on_duplicate, bus),
@@ -260,6 +266,7 @@ class Service:
         _log.info("gateway.stopping")
         self._vitals.is_stopping = True
         self._manager.stopping()
+        gate.begin_stopping()
         await dead_man.wind_down(self._config.stimulation.on_shutdown)
         gate.abandon()
         journal_task, *others = running
@@ -283,6 +290,10 @@ class Service:
         task = tasks.create_task(_take_command(gate, commanders, request, answer))
         self._command_tasks.add(task)
         task.add_done_callback(self._command_tasks.discard)
+
+    def _on_status(self, bus: Bus, gate: StimulationGate, status: NodeStatus) -> None:
+        gate.on_mode(status.node, status.mode)
+        bus.publish_node_status(status)
 
     def _on_radio_state(self, bus: Bus, radio: str, state: RadioState, reason: str) -> None:
         bus.set_radio(radio, is_up=state is RadioState.UP)
