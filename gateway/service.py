@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.contract.commands import StimulationRequest
@@ -116,7 +117,8 @@ class Service:
                 await asyncio.to_thread(bus.close)
         finally:
             await asyncio.to_thread(self._journal.close)
-        _log.info("gateway.stopped", head_offset=self._journal.head_offset)
+        head = self._journal.audit_head
+        _log.info("gateway.stopped", head_offset=self._journal.head_offset, audit_rows=head.n_rows, audit_head=head.chain.hex())
 
     async def _run_parts(
         self, ports: dict[str, PortSpec], recorders: Mapping[str, Recorder], bus: Bus, on_ready: Callable[[], None] | None
@@ -131,6 +133,7 @@ class Service:
             earlier_anchors=journal.identity.earlier_anchors,
         )
         reader = journal.reader()
+        audit = AuditLog(journal=journal, reader=reader, health=health)
         nodes = NodeBook(gateway=config.name)
         # Starts begin 16 session numbers apart; times an odd number these are far apart among the tokens.
         clocks = ClockBook(window_ns=int(config.clocks.window_s * NS_PER_S), first_token=journal.identity.first_session * 40_503)
@@ -219,6 +222,7 @@ class Service:
                 on_duplicate=partial(self._on_duplicate, bus),
                 on_diagnostic=partial(self._on_diagnostic, bus),
                 on_configuration=configurator.on_report,
+                on_limits=audit.note_announced,
                 on_unknown_clock=inquirer.note_refused,
             )
         )
@@ -229,7 +233,9 @@ class Service:
         try:
             async with asyncio.TaskGroup() as tasks:
                 signs_of_life = [tasks.create_task(self._vitals.run()), tasks.create_task(self._manager.watch())]
-                running = [tasks.create_task(journal.run())]
+                running = [tasks.create_task(journal.run()), tasks.create_task(audit.run())]
+                audit.begin({"name": config.name, "site": config.site, "version": version("biobot-gateway"), "ports": config.ports})
+                audit.note_limits(config.stimulation)
                 bus.start(
                     on_command=partial(self._on_command, gate, commanders, tasks),
                     on_turned_away=audit.turn_away,
@@ -255,13 +261,13 @@ class Service:
                 if on_ready is not None:
                     on_ready()
                 await self._stopping.wait()
-                await self._wind_down(running, gate, dead_man)
+                await self._wind_down(running, gate, dead_man, audit)
                 for task in signs_of_life:
                     task.cancel()
         finally:
             reader.close()
 
-    async def _wind_down(self, running: list[asyncio.Task[None]], gate: StimulationGate, dead_man: DeadMan) -> None:
+    async def _wind_down(self, running: list[asyncio.Task[None]], gate: StimulationGate, dead_man: DeadMan, audit: AuditLog) -> None:
         """Stop in the reverse order of the start; the journal, started first, is drained before it ends."""
         _log.info("gateway.stopping")
         self._vitals.is_stopping = True
@@ -277,6 +283,7 @@ class Service:
             for task in reversed(others):
                 task.cancel()
             _, pending = await asyncio.wait(pending, timeout=_CANCEL_AGAIN_S)
+        audit.end("asked to stop")
         try:
             async with asyncio.timeout(_DRAIN_TIMEOUT_S):
                 await self._journal.drain()
@@ -354,6 +361,8 @@ class Service:
                     disk_free_bytes=None if vitals.disk is None else vitals.disk.free_bytes,
                     faults=(*vitals.faults(), *vitals.warnings()),
                     missing=tuple(vitals.missing()),
+                    audit_rows=journal.audit_head.n_rows,
+                    audit_head=journal.audit_head.chain.hex(),
                 )
             )
             await asyncio.sleep(_STATUS_PERIOD_S)
@@ -397,7 +406,8 @@ def _retention_of(config: GatewayConfig) -> Retention:
         max_age_ns=None if table.max_age_days is None else days(table.max_age_days),
         max_size=None if table.max_mb is None else int(table.max_mb * 1_000_000),
         keep_ns=int(config.encounters.window_s * NS_PER_S),
-        audit_age_ns=days(table.audit_days),
+        # Trains that still count must be found again at a restart.
+        audit_age_ns=max(days(table.audit_days), 2 * int(config.stimulation.window_s * NS_PER_S)),
         node_age_ns=days(table.node_days),
         mapper_age_ns=days(table.mapper_days),
     )
