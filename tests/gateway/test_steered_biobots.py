@@ -101,11 +101,10 @@ def test_a_gateway_that_ends_stops_whom_it_moves_and_one_that_is_killed_does_so_
         dongle = a_dongle(7, 8, 9)
         first, second, free = (dongle.backpacks[NodeId(node)] for node in (7, 8, 9))
         async with on_tcp(dongle) as port:
-            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}")
-            (tmp_path / "gateway.toml").write_text("[stimulation]\nreply_timeout_s = 1.0\nstop_retry_s = 0.3\n")
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=_TABLE)
             run = [
-                *("--config", str(tmp_path / "gateway.toml"), "run", "--site", config.site, "--name", config.name),
-                *("--port", config.ports[0], "--journal", config.journal, "--listen", config.listen[0]),
+                *("run", "--site", config.site, "--name", config.name, "--port", config.ports[0]),
+                *("--journal", config.journal, "--listen", config.listen[0]),
             ]
 
             async def start(node: int, *, hold_ms: int) -> None:
@@ -113,19 +112,19 @@ def test_a_gateway_that_ends_stops_whom_it_moves_and_one_that_is_killed_does_so_
                 assert (await command(peer, request))[-1].stage is Stage.BIOBOT_CONFIRMED
 
             with listening(config) as peer:
-                async with program(*run) as gateway:
+                async with running(config):
                     await introduced(peer, first, second, free)
-                    await start(7, hold_ms=600_000)
+                    await start(8, hold_ms=600_000)
                     await start(9, hold_ms=0)
-                    gateway.kill()
-                    await gateway.wait()
+                assert actions(second) == [Action.START, Action.STOP], "it was stopped before the ports were closed"
                 peer.node_statuses.clear()
                 async with program(*run) as gateway:
+                    await introduced(peer, first)
+                    await start(7, hold_ms=600_000)
+                    gateway.kill()
+                    await gateway.wait()
+                async with running(config):
                     await until(lambda: actions(first) == [Action.START, Action.STOP], what="the one that was moved is stopped")
-                    await introduced(peer, second)
-                    await start(8, hold_ms=600_000)
-                    gateway.terminate()
-                    assert await gateway.wait() == 0
                 assert actions(second) == [Action.START, Action.STOP]
                 assert actions(first) == [Action.START, Action.STOP]
                 assert actions(free) == [Action.START], "nobody steers this one"
