@@ -71,6 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--trials", type=int, default=30, help="of each case (default: %(default)s)")
     parser.add_argument("--biobots", type=int, default=30, help="in the swarm (default: %(default)s)")
     parser.add_argument("--controlled", type=int, default=10, help="that the commander moves (default: %(default)s)")
+    parser.add_argument("--out", type=Path, help="keep the logs of all processes here")
+    parser.add_argument("--case", type=int, choices=range(1, len(CASES) + 1), help="this fault alone, by its place in the table")
     parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     spaces = Namespaces(prefix="biobotdm", network="10.213.78", hosts=_HOSTS)
@@ -88,12 +90,18 @@ def _measure(options: argparse.Namespace, spaces: Namespaces | None) -> int:
     print(f"{options.controlled} of {options.biobots} biobots are moved; times from the fault [ms]")
     print(f"{'fault':<44} {'n':>4}  {'frame p50':>9} {'p99':>6} {'max':>6}  {'stands p50':>10} {'p99':>6} {'max':>6}  {'goal':>5}")
     is_good = True
-    for case in CASES:
+    for number, case in enumerate(CASES, start=1):
+        if options.case not in {None, number}:
+            continue
         if case.cut is not None and spaces is None:
             continue
-        with tempfile.TemporaryDirectory(prefix="dead-man-") as directory, ExitStack() as stack:
-            setting = _Setting(Path(directory), stack, case=case, spaces=spaces, options=options)
+        with ExitStack() as stack:
+            directory = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dead-man-")))
+            if options.out is not None:
+                directory = options.out / str(number)
+                directory.mkdir(parents=True)
             try:
+                setting = _Setting(directory, stack, case=case, spaces=spaces, options=options)
                 trials = [setting.run_trial() for _ in range(options.trials)]
             except PartFailedError as error:
                 print(f"error: {error}", file=sys.stderr)
@@ -125,18 +133,8 @@ class _Setting:
         self._n_commanders = 0
         self._nodes = [str(node) for node in range(1, options.controlled + 1)]
         ready = out / "ready"
-        swarm = [
-            "simulator",
-            "serve",
-            "--biobots",
-            str(options.biobots),
-            "--seed",
-            "1",
-            "--ready-file",
-            str(ready),
-            "--out",
-            str(out / "truth"),
-        ]
+        swarm = ["simulator", "serve", "--scenario", "no-obstacle", "--biobots", str(options.biobots), "--seed", "1"]
+        swarm += ["--ready-file", str(ready), "--out", str(out / "truth")]
         self._start("simulator", [*swarm, *["--link", "tcp:127.0.0.1:0"] * 3])
         self._wait(ready.exists, what="the simulator is ready")
         dongles = [(host, int(port)) for _, host, port in (line.split(":") for line in ready.read_text().split())]
@@ -206,8 +204,10 @@ class _Setting:
             if commander.stdout.readline().strip() == "moving":
                 return commander
             commander.wait()
-        log = (self._out / "commander.log").read_text()[-2000:]
-        raise PartFailedError(f"no commander moved its biobots within {_START_S:g} s; the end of its log:\n{log}")
+        raise PartFailedError(f"no commander moved its biobots within {_START_S:g} s; the ends of the logs:\n{self._logs()}")
+
+    def _logs(self) -> str:
+        return "\n".join(f"{log.name}: {log.read_text()[-1000:]}" for log in sorted(self._out.glob("*.log")))
 
     def _end(self, host: str) -> str:
         return f"tcp/127.0.0.1:{free_port()}" if self._spaces is None else f"tcp/{self._spaces.address(host)}:{_PORT}"
@@ -225,7 +225,7 @@ class _Setting:
         deadline_s = time.monotonic() + _START_S
         while not is_so():
             if time.monotonic() > deadline_s:
-                raise PartFailedError(f"not within {_START_S:g} s: {what}; the logs are in {self._out}")
+                raise PartFailedError(f"not within {_START_S:g} s: {what}; the ends of the logs:\n{self._logs()}")
             time.sleep(_POLL_S)
 
 

@@ -126,7 +126,7 @@ def test_a_gateway_that_ends_stops_whom_it_moves_and_one_that_is_killed_does_so_
                 async with running(config):
                     await until(lambda: actions(first) == [Action.START, Action.STOP], what="the one that was moved is stopped")
                 assert actions(second) == [Action.START, Action.STOP]
-                assert actions(first) == [Action.START, Action.STOP]
+                assert Action.START not in actions(first)[1:]
                 assert actions(free) == [Action.START], "nobody steers this one"
 
     asyncio.run(story())
