@@ -125,7 +125,6 @@ class Service:
             earlier_anchors=journal.identity.earlier_anchors,
         )
         reader = journal.reader()
-        audit = AuditLog(journal=journal, reader=reader, health=health)
         nodes = NodeBook(gateway=config.name)
         # Starts begin 16 session numbers apart; times an odd number these are far apart among the tokens.
         clocks = ClockBook(window_ns=int(config.clocks.window_s * NS_PER_S), first_token=journal.identity.first_session * 40_503)
@@ -211,6 +210,8 @@ class Service:
                     on_watermark=journal.note_watermark,
                     on_damage=journal.note_damage,
                 )
+                for account in gate.accounts():
+                    bus.publish_account(account)
                 running.append(tasks.create_task(self._publish_status(bus, intake, nodes)))
                 running.append(tasks.create_task(acknowledger.run()))
                 running.append(tasks.create_task(inquirer.run()))

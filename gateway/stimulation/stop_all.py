@@ -35,6 +35,7 @@ TOGETHER = 8
 PAUSE_S = 0.04
 """Between two such moments: 200 frames a second, about what a ZigBee channel carries of unicasts with their acknowledgements."""
 
+_MADE_TOGETHER = 256
 _SPARE_S = 1.0
 """Beside what the rounds take, until the last stage is told."""
 
@@ -75,8 +76,10 @@ class StopAll:
         self._stops.overtake(self._book.running())
         sweep.begin(n_known=len(self._nodes))
         try:
-            for is_near, request in self._requests(whole):
+            for n_before, (is_near, request) in enumerate(self._requests(whole)):
                 assert whole.wire_command is not None
+                if n_before and n_before % _MADE_TOGETHER == 0:
+                    await asyncio.sleep(0)  # others have their turn
                 part = Command(request=request, key=self._free_key(request.command_id), part_of=whole.request.command_id)
                 self._book.begin(part)
                 self._book.number(part, whole.wire_command)
@@ -152,7 +155,8 @@ class _Sweep:
     async def run(self) -> None:
         """Send and wait, round after round, until all within reach have confirmed."""
         retry_ns = int(self._table.stop_retry_s * NS_PER_S)
-        far = [part for part in self.parts if part not in set(self._within_reach)]
+        near = set(self._within_reach)
+        far = [part for part in self.parts if part not in near]
         for attempt in range(self._table.stop_attempts):
             if attempt:
                 self.broadcast()
