@@ -191,6 +191,19 @@ class Service:
                 on_unknown_clock=inquirer.note_refused,
             )
         )
+        mission = Mission(
+            config=config.mission,
+            issuer=issuer,
+            journal=journal,
+            reader=reader,
+            nodes=nodes,
+            handle=gate.handle,
+            health=health,
+            note=audit.note,
+            on_event=partial(self._publish_event, bus),
+        )
+        gate.listen(mission.on_stage)
+        journal.listen(mission.take_records)
         journal.listen(bus.publish_records)
         journal.listen(lambda committed: self._vitals.take_records(committed.records, committed.head_offset))
         journal.listen_for_fault(partial(self._on_journal_fault, bus))
@@ -203,6 +216,7 @@ class Service:
                 audit.note_limits(config.stimulation)
                 bus.start(
                     on_command=partial(commanding.take, tasks),
+                    on_order=lambda order, answer: mission.take_order(order, answer.tell),
                     on_turned_away=audit.turn_away,
                     open_reader=journal.reader,
                     journal=journal.journal_id,
@@ -217,11 +231,7 @@ class Service:
                 running.append(tasks.create_task(inquirer.run()))
                 running.append(tasks.create_task(commanding.dead_man.run()))
                 running.append(tasks.create_task(configurator.run()))
-                if config.mission.is_enabled:
-                    mission = Mission(
-                        config=config.mission, issuer=issuer, journal=journal, reader=reader, nodes=nodes, gate=gate, health=health
-                    )
-                    running.append(tasks.create_task(mission.run()))
+                running.append(tasks.create_task(mission.run()))
                 running += [tasks.create_task(coordinator.run()) for coordinator in coordinators.values()]
                 _log.info("gateway.started", name=config.name, site=config.site, journal=journal.journal_id, boot=journal.boot)
                 self._manager.ready()
