@@ -96,7 +96,12 @@ class StimulationGate:
         last = reader.read_last_wire_command()
         # A new journal must not begin at a number that a backpack remembers from an old one.
         self._next_wire = secrets.randbits(31) if last is None else last + 1
+        self._heard_by: list[Callable[[StimulationRequest, CommandStage], None]] = []
         self._restore_ledger()
+
+    def listen(self, listener: Callable[[StimulationRequest, CommandStage], None]) -> None:
+        """Have every stage of every command told to ``listener``, in the loop."""
+        self._heard_by.append(listener)
 
     async def handle(self, request: StimulationRequest, listener: StageListener) -> None:
         """Take a command; ``listener`` hears each stage, the last one final. A known id is answered again, not obeyed again."""
@@ -313,6 +318,8 @@ class StimulationGate:
             _log.info("command.done", command=stage.command_id, node=stage.node, action=stage.action.value, outcome=stage.stage.value)
         for listener in command.listeners:
             listener(stage)
+        for hear in self._heard_by:
+            hear(command.request, stage)
 
     def _audit(self, command: _Command, stage: CommandStage, *, train_ms: int, row: str | None = None) -> "asyncio.Future[None] | None":
         entry = AuditEntry(
@@ -321,6 +328,8 @@ class StimulationGate:
             wire_command=command.wire_command,
             stage=row or stage.stage.value,
             node=stage.node,
+            operator=command.request.operator,
+            mono_ns=time.monotonic_ns(),
             train_ms=train_ms,
             request=encode_record(command.request),
             body=encode_record(stage),
@@ -371,7 +380,7 @@ class StimulationGate:
         now_wall_ns, now_ns = self._wall_clock(), time.monotonic_ns()
         since_wall_ns = now_wall_ns - int(self._config.window_s * NS_PER_S)
         for entry in self._reader.read_audit_since(since_wall_ns):
-            if entry.train_ms:
+            if entry.train_ms and entry.node is not None:
                 # A wall clock that was set back makes old trains look new, never the other way round: it errs to the safe side.
                 at_ns = now_ns - max(0, now_wall_ns - entry.wall_ns)
                 self._ledger.admit(entry.node, train_ms=entry.train_ms, at_ns=at_ns)

@@ -33,7 +33,11 @@ FLAGS = [
     "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
 ]
 
-pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the PATH; apt-get install chromium")]
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the PATH; apt-get install chromium"),
+    pytest.mark.xdist_group("mapper page"),
+]
 
 # How many pixels of the canvas are of the colour that the style sheet gives to holes, within a little.
 COUNT_HOLE_PIXELS = """() => {
