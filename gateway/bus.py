@@ -31,7 +31,8 @@ from firmware_protocol.contract.records import (
 from gateway.bus_commands import CommandDoor, CommandTaker, OrderDoor, OrderTaker, TurnedAwayListener
 from gateway.bus_history import HistoryDoor
 from gateway.bus_presence import CommanderDoor, CommanderListener, WatermarkDoor
-from gateway.bus_session import ConnectionWatch, open_service
+from gateway.bus_session import ConnectionWatch, is_token_seen, open_service
+from gateway.bus_standing import StandingDeclarations
 from gateway.config import GatewayConfig
 from gateway.errors import BusError
 from gateway.health import Health
@@ -58,7 +59,9 @@ _NAME_CHECK_S = 1.5
 class Bus:
     """An open Zenoh session of a gateway."""
 
-    def __init__(self, *, session: zenoh.Session, watch: ConnectionWatch, site: str, gateway: str, health: Health) -> None:
+    def __init__(
+        self, *, session: zenoh.Session, watch: ConnectionWatch, is_seen: Callable[[], bool | None], site: str, gateway: str, health: Health
+    ) -> None:
         self._session = session
         self._watch = watch
         self._site = site
@@ -68,8 +71,7 @@ class Bus:
         self._answers = ThreadPoolExecutor(max_workers=1, thread_name_prefix="answers")
         self._history: HistoryDoor | None = None
         self._commands: CommandDoor | None = None
-        self._declared: list[zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.LivelinessToken] = []
-        self._radios: dict[str, zenoh.LivelinessToken] = {}
+        self._standing = StandingDeclarations(session, is_seen=is_seen, health=health)
         self._publishers = {
             stream: zenoh.ext.declare_advanced_publisher(
                 session,
@@ -104,7 +106,9 @@ class Bus:
             session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
             raise BusError(f"a gateway named {config.name!r} is alive at site {config.site!r} already; give this one another --name")
         watch = ConnectionWatch(session, connect=config.connect, tls=config.tls, facts=report.facts, health=health)
-        return cls(session=session, watch=watch, site=config.site, gateway=config.name, health=health)
+        own = build_key(site=config.site, stream=Stream.ALIVE, gateway=config.name)
+        is_seen = partial(is_token_seen, own, connect=config.connect, tls=config.tls, timing=config.zenoh)
+        return cls(session=session, watch=watch, is_seen=is_seen, site=config.site, gateway=config.name, health=health)
 
     def n_links(self) -> int:
         """Return how many other sessions are connected now."""
@@ -126,7 +130,7 @@ class Bus:
 
         All that is given is called in the running loop, but for ``open_reader`` and ``on_turned_away``.
         """
-        loop, health = asyncio.get_running_loop(), self._health
+        loop, health, session, standing = asyncio.get_running_loop(), self._health, self._session, self._standing
 
         def tell_damage(damage: Damage) -> None:
             if on_damage is not None:
@@ -136,16 +140,16 @@ class Bus:
             door = CommanderDoor(loop=loop, health=health, listener=commanders)
             beats = build_key(site=self._site, stream=Stream.BEAT, gateway=ANY)
             tokens = build_token_key(site=self._site, kind=Kind.COMMANDER, name=ANY)
-            self._declared.append(self._session.declare_subscriber(beats, door.take_beat))
-            self._declared.append(self._session.liveliness().declare_subscriber(tokens, door.take_token, history=True))
+            standing.declare("beats", lambda: session.declare_subscriber(beats, door.take_beat))
+            standing.declare("commanders", lambda: session.liveliness().declare_subscriber(tokens, door.take_token, history=True))
         if on_watermark is not None:
             marks = WatermarkDoor(loop=loop, journal=journal, health=health, on_watermark=on_watermark)
             watermarks = build_key(site=self._site, stream=Stream.WATERMARK, gateway=self._gateway, mapper=ANY)
-            self._declared.append(self._session.declare_subscriber(watermarks, marks.take))
+            standing.declare("watermarks", lambda: session.declare_subscriber(watermarks, marks.take))
         answer = partial(history_batches, open_reader=open_reader, gateway=self._gateway, journal=journal, on_damage=tell_damage)
         command_key, order_key, history_key = map(self._key, (Stream.COMMAND, Stream.ORDERS, Stream.HISTORY))
-        self._history = HistoryDoor(key=history_key, health=health, answer=answer)
-        self._commands = CommandDoor(
+        history = self._history = HistoryDoor(key=history_key, health=health, answer=answer)
+        commands = self._commands = CommandDoor(
             loop=loop,
             key=command_key,
             executor=self._answers,
@@ -153,13 +157,14 @@ class Bus:
             on_command=on_command,
             on_turned_away=on_turned_away,
         )
-        self._declared.append(self._session.declare_queryable(command_key, self._commands.take))
+        standing.declare("command", lambda: session.declare_queryable(command_key, commands.take))
         if on_order is not None:
-            first = self._commands.hand_over_stops
+            first = commands.hand_over_stops
             orders = OrderDoor(loop=loop, key=order_key, executor=self._answers, health=health, on_order=on_order, before=first)
-            self._declared.append(self._session.declare_queryable(order_key, orders.take))
-        self._declared.append(self._session.declare_queryable(history_key, self._history.take))
-        self._declared.append(self._session.liveliness().declare_token(self._key(Stream.ALIVE)))
+            standing.declare("orders", lambda: session.declare_queryable(order_key, orders.take))
+        standing.declare("history", lambda: session.declare_queryable(history_key, history.take))
+        alive = self._key(Stream.ALIVE)
+        standing.declare("alive", lambda: session.liveliness().declare_token(alive))
 
     @property
     def n_waiting(self) -> int:
@@ -209,8 +214,7 @@ class Bus:
     def close(self) -> None:
         """Send what waits, unless it takes long; then close."""
         self._watch.close()
-        for declared in reversed(self._declared):
-            declared.undeclare()  # type: ignore[no-untyped-call]  # same
+        self._standing.close()
         self._puts.put(None)
         self._thread.join(timeout=_CLOSE_S)
         if self._thread.is_alive():
@@ -224,12 +228,13 @@ class Bus:
         return build_key(site=self._site, stream=stream, gateway=self._gateway)
 
     def _set_radio(self, radio: str, *, is_up: bool) -> None:
+        name = f"radio {radio}"
+        key = build_token_key(site=self._site, kind=Kind.RADIO, name=self._gateway, radio=radio)
         try:
-            if is_up and radio not in self._radios:
-                key = build_token_key(site=self._site, kind=Kind.RADIO, name=self._gateway, radio=radio)
-                self._radios[radio] = self._session.liveliness().declare_token(key)
-            elif not is_up and radio in self._radios:
-                self._radios.pop(radio).undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+            if is_up and not self._standing.is_declared(name):
+                self._standing.declare(name, lambda: self._session.liveliness().declare_token(key))
+            elif not is_up:
+                self._standing.undeclare(name)
         except zenoh.ZError as error:
             _log.warning("bus.radio_untold", radio=radio, reason=str(error))
 

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import threading
 import time
 import uuid
 from dataclasses import dataclass
@@ -67,12 +68,19 @@ class RestAsker:
         self._place = urlsplit(url)
 
     def ask(self, node: int, action: StimulationAction) -> Answered:
-        """Ask, and return when the mapper has answered."""
+        """Ask in a thread, and return at once."""
+        answered = Answered()
+        threading.Thread(target=self._ask, args=(node, action, answered), daemon=True).start()
+        return answered
+
+    def _ask(self, node: int, action: StimulationAction, answered: Answered) -> None:
         body = json.dumps({"biobot": node, "action": action.value, "operator": _OPERATOR})
         connection = http.client.HTTPConnection(self._place.hostname or "", self._place.port, timeout=_TIMEOUT_S)
         try:
             connection.request("POST", "/api/v1/commands", body=body, headers={"Content-Type": "application/json"})
             connection.getresponse().read()
+            answered.first_ns = time.monotonic_ns()
+        except (OSError, http.client.HTTPException):
+            pass  # the frame tells whether it was heard
         finally:
             connection.close()
-        return Answered(time.monotonic_ns())

@@ -12,6 +12,7 @@ import json
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -52,6 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="keep files and logs here (default: a directory that is removed)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every stop there too")
     options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that all that was started ends, and the disk is given back
     with ExitStack() as stack:
         out = options.out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stop-latency-", dir=Path.cwd())))
         out.mkdir(parents=True, exist_ok=True)
