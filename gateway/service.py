@@ -13,7 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.contract.commands import StimulationRequest
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus
+from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, NodeStatus
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level
@@ -133,7 +133,6 @@ class Service:
             earlier_anchors=journal.identity.earlier_anchors,
         )
         reader = journal.reader()
-        audit = AuditLog(journal=journal, reader=reader, health=health)
         nodes = NodeBook(gateway=config.name)
         # Starts begin 16 session numbers apart; times an odd number these are far apart among the tokens.
         clocks = ClockBook(window_ns=int(config.clocks.window_s * NS_PER_S), first_token=journal.identity.first_session * 40_503)
@@ -182,6 +181,9 @@ class Service:
             on_refused=partial(self._on_unconfigured, bus),
             first_token=journal.identity.first_session,
         )
+        audit = AuditLog(journal=journal, reader=reader, health=health)
+        book = ControlBook()
+        commanders = Commanders(silence_s=config.stimulation.commander_silence_s, health=health, notes=audit)
         gate = StimulationGate(
             gateway=config.name,
             config=config.stimulation,
@@ -190,10 +192,12 @@ class Service:
             journal=journal,
             reader=reader,
             health=health,
+            instant_of=journal.identity.instant_of,
+            radio_timeout_s=config.link.radio_timeout_s,
+            is_commander_there=commanders.is_there,
+            controlled=lambda: book.controlled,
+            controller_of=book.operator_of,
         )
-        audit = AuditLog(journal=journal, reader=reader, health=health)
-        book = ControlBook()
-        commanders = Commanders(silence_s=config.stimulation.commander_silence_s, health=health, notes=audit)
         dead_man = DeadMan(
             gate=gate,
             book=book,
@@ -207,10 +211,11 @@ class Service:
         dead_man.restore(reader.read_last_stages(limit=_REMEMBERED_STAGES))
         gate.listen(dead_man.hear)
         gate.listen(lambda _request, stage: bus.publish_stage(stage))
+        gate.listen_to_accounts(bus.publish_account)
         intake.connect(
             IntakeListeners(
                 on_committed=acknowledger.mark,
-                on_status=bus.publish_node_status,
+                on_status=partial(self._on_status, bus, gate),
                 on_neighbours=bus.publish_neighbours,
                 on_reply=gate.on_reply,
                 on_duplicate=partial(self._on_duplicate, bus),
@@ -239,6 +244,8 @@ class Service:
                     on_watermark=journal.note_watermark,
                     on_damage=journal.note_damage,
                 )
+                for account in gate.accounts():
+                    bus.publish_account(account)
                 running.append(tasks.create_task(self._publish_status(bus, intake, nodes)))
                 running.append(tasks.create_task(acknowledger.run()))
                 running.append(tasks.create_task(inquirer.run()))
@@ -290,6 +297,10 @@ class Service:
         task = tasks.create_task(_take_command(gate, commanders, request, answer))
         self._command_tasks.add(task)
         task.add_done_callback(self._command_tasks.discard)
+
+    def _on_status(self, bus: Bus, gate: StimulationGate, status: NodeStatus) -> None:
+        gate.on_mode(status.node, status.mode)
+        bus.publish_node_status(status)
 
     def _on_radio_state(self, bus: Bus, radio: str, state: RadioState, reason: str) -> None:
         bus.set_radio(radio, is_up=state is RadioState.UP)

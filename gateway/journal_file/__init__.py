@@ -11,12 +11,14 @@ from gateway.journal_file.schema import AFTER_DAMAGE
 from gateway.journal_file.segments import SegmentBuilder
 from gateway.journal_file.upkeep import Retention, Upkeep
 from gateway.journal_file.walk import LeftOut, newest_offset, walk_records, walk_reports
-from gateway.journal_file.writes import AuditEntry, Committed, Damage, JournalIdentity, JournalWrite, UplinkReport
+from gateway.journal_file.writes import SENT_AGAIN, STAGE, AuditEntry, Committed, Damage, JournalIdentity, JournalWrite, UplinkReport
 
 __all__ = [
     "AFTER_DAMAGE",
     "PROGRESS",
+    "SENT_AGAIN",
     "SESSIONS_PER_START",
+    "STAGE",
     "AuditEntry",
     "AuditFindings",
     "AuditSelection",

@@ -191,6 +191,12 @@ class JournalReader:
         """Return the stages of all commands from an instant on, in order."""
         return self._audit("WHERE wall_ns >= ? AND command_id <> '' ORDER BY id", (wall_ns,))
 
+    def read_newest_audit(self, *, limit: int) -> Iterator[AuditEntry]:
+        """Yield the rows of commands that are among the newest ``limit`` rows of the audit log, in order."""
+        where = "WHERE id > (SELECT coalesce(max(id), 0) FROM audit) - ? AND command_id <> '' ORDER BY id"
+        rows = self._connection.execute(f"SELECT {COLUMNS}, chain FROM audit {where}", (limit,))  # noqa: S608  # constants of this package
+        return map(entry_of, rows)
+
     def read_last_stages(self, *, limit: int) -> list[AuditEntry]:
         """Return the newest stages of commands, in order."""
         return self._audit("WHERE command_id <> '' ORDER BY id DESC LIMIT ?", (limit,))[::-1]

@@ -246,14 +246,15 @@ def test_an_urgent_message_goes_over_every_radio_that_heard_the_biobot_of_late_a
             hear(7, "c", 0x30, sent_ms=1)
             hear(8, "c", 0x30, sent_ms=1)  # and that address is another's by now
             sender.send(NodeId(7), HelloRequest())
-            assert len(sender.send_everywhere(NodeId(7), HelloRequest())) == 2
+            sender.send(NodeId(7), HelloRequest(), is_urgent=True)
+            assert len(sender.send_elsewhere(NodeId(7), HelloRequest())) == 1
             await until(lambda: sum(map(len, asked().values())) == 3, what="the radios were asked")
             assert asked() == {"a": [0x10], "b": [0x20, 0x20], "c": []}
             assert all(not isinstance(decode_downlink(plug.dongle.requests[0].payload), str) for name, plug in plugs.items() if name != "c")
             hear(9, "b", 0x20, sent_ms=1)
             with pytest.raises(RadioUnavailableError, match="another biobot's now"):
                 sender.send(NodeId(7), HelloRequest())
-            assert len(sender.send_everywhere(NodeId(7), HelloRequest())) == 1, "a STOP still goes where the biobot may be"
+            assert len(sender.send_elsewhere(NodeId(7), HelloRequest())) == 1, "a STOP still goes where the biobot may be"
 
     asyncio.run(story())
 
