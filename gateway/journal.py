@@ -6,6 +6,7 @@ is published or acknowledged in between, and nothing is lost. A write that can n
 """
 
 import asyncio
+import contextlib
 import sqlite3
 import struct
 import time
@@ -22,6 +23,7 @@ from gateway.errors import JournalFullError
 from gateway.health import Health
 from gateway.journal_file import (
     PROGRESS,
+    ChainHead,
     Committed,
     Damage,
     JournalFile,
@@ -44,20 +46,17 @@ MAX_GROUP_SIZE = 4 << 20
 """Octets of records and reports, after which a group takes no further write."""
 
 MAX_WAITING = 65_536
-"""Writes that may wait for the disk. A native dongle stalls at 16 unconfirmed payloads; XBee and Z-Stack take no confirmation and never
-stall, but a backpack has at most 33 messages outstanding, and a repetition is no write. So it takes a flood of commands, or two thousand
-biobots, to come near."""
+"""Writes that may wait for the disk. Native dongles stall at 16 unconfirmed payloads; XBee and Z-Stack never do, but a backpack has at most
+33 messages outstanding, and a repetition is no write: it takes a flood of commands, or two thousand biobots, to come near."""
 
 _UNSTORABLE = (OverflowError, TypeError, ValueError, struct.error)
 """What adding a write to a group raises where it can never be stored. What SQLite raises is the disk's, and is waited out."""
 
 _MACHINE_BOOT = Path("/proc/sys/kernel/random/boot_id")
-_FIRST_RETRY_S = 0.1
-_MAX_RETRY_S = 2.0
+_FIRST_RETRY_S, _MAX_RETRY_S = 0.1, 2.0
 
 _KEEP_ALL = Retention()
-_TIDY_PERIOD_S = 1.0
-_TIDY_AGAIN_S = 0.02
+_TIDY_PERIOD_S, _TIDY_AGAIN_S = 1.0, 0.02
 _TIDY_AFTER = 64
 """Commits after which small segments are looked through."""
 
@@ -146,6 +145,11 @@ class Journal:
     def oldest_offset(self) -> int:
         """Oldest offset that is still on disk; where there is none, the next one."""
         return self._oldest_offset
+
+    @property
+    def audit_head(self) -> ChainHead:
+        """Where the audit log's chain ends, of what is on disk."""
+        return self._file.audit_head
 
     @property
     def is_full(self) -> bool:
@@ -391,7 +395,6 @@ class Journal:
 
 def _read_machine_boot() -> str:
     """Return the kernel's name for the time since the machine booted; empty where it gives none."""
-    try:
+    with contextlib.suppress(OSError):
         return _MACHINE_BOOT.read_text(encoding="ascii").strip()
-    except OSError:
-        return ""
+    return ""

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from firmware_protocol.contract.commands import StimulationRequest
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus
+from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, NodeStatus
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level
@@ -179,11 +179,13 @@ class Service:
             journal=journal,
             reader=reader,
             health=health,
+            instant_of=journal.identity.instant_of,
+            radio_timeout_s=config.link.radio_timeout_s,
         )
         intake.connect(
             IntakeListeners(
                 on_committed=acknowledger.mark,
-                on_status=bus.publish_node_status,
+                on_status=partial(self._on_status, bus, gate),
                 on_neighbours=bus.publish_neighbours,
                 on_reply=gate.on_reply,
                 on_duplicate=partial(self._on_duplicate, bus),
@@ -255,6 +257,10 @@ class Service:
         task = tasks.create_task(gate.handle(request, answer.tell))
         self._command_tasks.add(task)
         task.add_done_callback(self._command_tasks.discard)
+
+    def _on_status(self, bus: Bus, gate: StimulationGate, status: NodeStatus) -> None:
+        gate.on_mode(status.node, status.mode)
+        bus.publish_node_status(status)
 
     def _on_radio_state(self, bus: Bus, radio: str, state: RadioState, reason: str) -> None:
         bus.set_radio(radio, is_up=state is RadioState.UP)

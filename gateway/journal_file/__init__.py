@@ -1,5 +1,6 @@
 """The journal's file: segments of records and reports in SQLite, written by one gateway and read by anybody (docs/journal.md)."""
 
+from gateway.journal_file.audit_chain import ChainHead
 from gateway.journal_file.description import describe_journal, expect_fit_to_open, expect_journal
 from gateway.journal_file.file import PROGRESS, SESSIONS_PER_START, JournalFile, open_journal_file
 from gateway.journal_file.integrity import check_journal
@@ -8,13 +9,16 @@ from gateway.journal_file.schema import AFTER_DAMAGE
 from gateway.journal_file.segments import SegmentBuilder
 from gateway.journal_file.upkeep import Retention, Upkeep
 from gateway.journal_file.walk import LeftOut, newest_offset, walk_records, walk_reports
-from gateway.journal_file.writes import AuditEntry, Committed, Damage, JournalIdentity, JournalWrite, UplinkReport
+from gateway.journal_file.writes import SENT_AGAIN, STAGE, AuditEntry, Committed, Damage, JournalIdentity, JournalWrite, UplinkReport
 
 __all__ = [
     "AFTER_DAMAGE",
     "PROGRESS",
+    "SENT_AGAIN",
     "SESSIONS_PER_START",
+    "STAGE",
     "AuditEntry",
+    "ChainHead",
     "Committed",
     "Damage",
     "JournalFile",

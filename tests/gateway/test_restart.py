@@ -69,6 +69,7 @@ def test_a_restart_at_the_end_of_dispersion_waits_for_the_biobots_it_knew(tmp_pa
             journal=journal,
             reader=reader,
             health=health,
+            instant_of=journal.identity.instant_of,
         )
         mission = Mission(
             config=MissionTable(is_enabled=True, dispersion_s=60),
