@@ -22,24 +22,39 @@ class Life:
         return self.end_ns is not None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Given:
+    """What was so when a request was given.
+
+    Parameters
+    ----------
+    age_ns
+        How long ago it was issued, by the gateway's wall clock.
+    is_known, can_send
+        The gateway knew the biobot; the radio that heard it last was up.
+    is_commander_there
+        Or it named none.
+    """
+
+    age_ns: int
+    is_known: bool
+    can_send: bool
+    is_commander_there: bool
+
+
 @dataclass(slots=True, eq=False, kw_only=True)
 class Call:
     """A request given to the gate, at an instant of true time, and the stages that its giver heard.
 
-    ``age_ns``: how long ago it was issued, by the gateway's wall clock as it was then. ``was_known``: the gateway knew the biobot.
-    ``was_commander_there``: or it named none. ``is_new``: the same had not been asked before.
-    ``can_send``: the radio that heard its biobot last was up.
+    ``is_new``: the same had not been asked before. ``given`` is None where the gateway was killed before it took it.
     """
 
     number: int
     request: StimulationRequest
     life: Life
     given_ns: int
-    age_ns: int
-    was_known: bool
     is_new: bool
-    can_send: bool
-    was_commander_there: bool
+    given: Given | None = None
     stages: list[tuple[int, CommandStage]] = field(default_factory=list)
 
     @property

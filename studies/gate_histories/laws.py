@@ -20,6 +20,11 @@ _MINUTE_NS = 60 * NS_PER_S
 _TICK_NS = NS_PER_MS
 """A backpack's clock and the wire count milliseconds: what lies within one of them is at the same time."""
 
+_UNWRITTEN_S = 1.0
+"""So long a frame may wait in the gateway for its dongle, before it is taken back."""
+
+_SOON_NS = 2 * NS_PER_S
+
 _STOPS = frozenset({StimulationAction.STOP, StimulationAction.STOP_ALL})
 
 
@@ -85,7 +90,7 @@ def _unfit(table: StimulationTable, limits: Limits | None, train: Stimulate | No
 def _orders(world: World, node: NodeId, log: list[Actuation]) -> Iterator[str]:
     """Who may move an insect, how often and until when."""
     frames = {frame.message.command: frame for frame in world.air.frames if frame.call is not None}
-    executed: Counter[str] = Counter()
+    executed: Counter[tuple[str, StimulationAction]] = Counter()
     moves: list[tuple[int, Call]] = []
     flight_ns = int(world.site.table.flight_s * NS_PER_S)
     for one in log:
@@ -98,7 +103,7 @@ def _orders(world: World, node: NodeId, log: list[Actuation]) -> Iterator[str]:
             continue
         request = call.request
         if one.train is not None or one.action is not Action.STOP:
-            executed[f"{request.command_id} ({request.action.value})"] += 1
+            executed[request.command_id, request.action] += 1
         if one.action is Action.STOP:
             if request.action not in _STOPS:
                 yield f"made a stop: {_said(one)} of {_named(call)}"
@@ -106,13 +111,19 @@ def _orders(world: World, node: NodeId, log: list[Actuation]) -> Iterator[str]:
         moves.append((one.begin_ns, call))
         if one.action is None or one.action.name.lower() != request.action.value:
             yield f"another action: {_said(one)} of {_named(call)}"
-        if call.age_ns >= request.ttl_ms * NS_PER_MS:
-            yield f"stale: {_named(call)} was {call.age_ns / NS_PER_S:.3f} s old when it was given, and moved the insect"
-        if one.begin_ns > (last_ns := call.given_ns + request.ttl_ms * NS_PER_MS + flight_ns + _TICK_NS):
-            yield f"late: {_said(one)} of {_named(call)} came {(one.begin_ns - last_ns) / NS_PER_S:.3f} s after its time to live and the flight"
-        if not call.was_commander_there:
+        assert call.given is not None
+        left_ns = request.ttl_ms * NS_PER_MS - max(0, call.given.age_ns)
+        if left_ns <= 0:
+            yield f"stale: {_named(call)} was {call.given.age_ns / NS_PER_S:.3f} s old when it was given, and moved the insect"
+        if (late_ns := one.begin_ns - (call.given_ns + left_ns + flight_ns)) > _TICK_NS:
+            yield f"late: {_said(one)} of {_named(call)} came {late_ns / NS_PER_S:.3f} s after its time to live and the flight"
+        if not call.given.is_commander_there:
             yield f"no commander: {_said(one)} of {_named(call)}"
-    yield from (f"twice: {name} was executed {n} times on biobot {node}" for name, n in executed.items() if n > 1)
+    for (name, action), n in executed.items():
+        # A stop that is asked for anew may be obeyed anew.
+        n_asked = sum((call.request.command_id, call.request.action) == (name, action) for call in world.calls)
+        if n > (n_asked if action in _STOPS else 1):
+            yield f"twice: {action.value} {name} was executed {n} times on biobot {node}"
     yield from _after_stops(world, node, log, moves)
 
 
@@ -128,13 +139,25 @@ def _after_stops(world: World, node: NodeId, log: list[Actuation], moves: list[t
         if not any(one.mode is WireMode.S and one.command in wires and one.begin_ns <= confirmed_ns for one in log):
             yield f"not stopped: {_named(call)} was confirmed, and did nothing"
         for at, moving in moves:
-            if at > confirmed_ns and moving.number < call.number and not _is_stopped_again(world, node, log, at):
+            if at > confirmed_ns and moving.number < call.number and not _is_stopped_again(world, node, at, stop=call):
                 yield f"moved after a stop: {_named(moving)}, {(at - confirmed_ns) / NS_PER_S:.3f} s after {_named(call)} was confirmed"
 
 
-def _is_stopped_again(world: World, node: NodeId, log: list[Actuation], at_ns: int) -> bool:
-    """Whether an insect that an old frame moved was stopped soon."""
-    return False
+def _is_stopped_again(world: World, node: NodeId, moved_ns: int, *, stop: Call) -> bool:
+    """Whether an insect that a frame moved which was on its way when a stop came is stopped again, or meant to move meanwhile.
+
+    It is as soon as no frame of before the stop can come any more, which the gate cannot know better than by ``flight_s``, and by what it
+    allows a frame to wait for its dongle; or when it hears of it.
+    """
+    by_ns = stop.given_ns + int((world.site.table.flight_s + _UNWRITTEN_S) * NS_PER_S) + _SOON_NS
+    if any(life.end_ns is not None and stop.given_ns <= life.end_ns <= by_ns for life in world.lives):
+        return True  # the gateway was killed before: who moves after its start is for those who know whom it had under control
+    return any(
+        frame.node == node and frame.message.action is Action.STOP and moved_ns <= frame.sent_ns <= by_ns for frame in world.air.frames
+    ) or any(
+        call.number > stop.number and call.request.node == node and call.request.action not in _STOPS and call.given_ns <= by_ns
+        for call in world.calls
+    )
 
 
 def _is_of(call: Call, other: Call) -> bool:
@@ -159,7 +182,8 @@ def _frames(world: World) -> Iterator[str]:
         if frame.written_ns is not None:
             overtaker = _stop_between(world, call, frame)
             if overtaker is not None:
-                yield f"sent after a stop: a frame of {_named(call)} left {(frame.written_ns - overtaker.given_ns) / NS_PER_S:.3f} s after {_named(overtaker)} was given"
+                late_s = (frame.written_ns - overtaker.given_ns) / NS_PER_S
+                yield f"sent after a stop: a frame of {_named(call)} left {late_s:.3f} s after {_named(overtaker)} was given"
     for wire, names in of_wire.items():
         if len(names) > 1:
             yield f"number given twice: {wire}, for {sorted(names)}"
@@ -175,8 +199,8 @@ def _prompt(world: World) -> Iterator[str]:
         if frame.call is not None:
             first.setdefault(frame.call.number, frame.sent_ns)
     for call in world.calls:
-        is_asked = call.request.action is StimulationAction.STOP and call.is_new and call.can_send and call.life.end_ns != call.given_ns
-        if is_asked and first.get(call.number) != call.given_ns:
+        can_send = call.given is not None and call.given.can_send
+        if call.request.action is StimulationAction.STOP and call.is_new and can_send and first.get(call.number) != call.given_ns:
             yield f"a stop that waited: {_named(call)} was sent at {first.get(call.number)}"
 
 
@@ -218,7 +242,7 @@ def _answers(world: World, call: Call) -> Iterator[str]:
     final = finals[0] if finals else None
     if final is None or final.stage is not Stage.REFUSED:
         return
-    if call.was_known and call.request.action in _STOPS:
+    if call.given is not None and call.given.is_known and call.request.action in _STOPS:
         yield f"a refused stop: {_named(call)}: {final.reason}"
     if final.refusal is None:
         yield f"no reason for programs: {_named(call)}: {final.reason}"

@@ -3,6 +3,7 @@
 from firmware_protocol.messages import Stimulate
 from firmware_protocol.units import NS_PER_S
 from studies.gate_histories.air import Frame
+from studies.gate_histories.calls import Call
 from studies.gate_histories.world import World
 
 
@@ -15,7 +16,7 @@ def tell(world: World) -> str:
             lines.append((life.end_ns, f"gateway ends, life {life.number}"))
     for call in world.calls:
         request = call.request
-        asked = f"{request.action.value} {request.node} ttl {request.ttl_ms} hold {request.hold_ms} age {call.age_ns / NS_PER_S:.3f} s"
+        asked = f"{request.action.value} {request.node} ttl {request.ttl_ms} hold {request.hold_ms} {_age(call)}"
         lines.append((call.given_ns, f"{request.command_id}: {asked}"))
         for at, stage in call.stages:
             refusal = "" if stage.refusal is None else f" [{stage.refusal.value}]"
@@ -41,3 +42,7 @@ def _said(frame: Frame) -> str:
     message: Stimulate = frame.message
     whose = "nobody's" if frame.call is None else f"{frame.call.request.command_id}'s"
     return f"{whose} frame {message.command} ({message.action.name.lower()} {frame.node or 'all'}, {message.duration_ms} ms)"
+
+
+def _age(call: Call) -> str:
+    return "not taken" if call.given is None else f"age {call.given.age_ns / NS_PER_S:.3f} s"

@@ -18,7 +18,7 @@ from gateway.journal_file import JournalWrite
 from gateway.nodes import Node, NodeBook, NodeMemory
 from gateway.stimulation import StimulationGate
 from studies.gate_histories.air import Air, FrameFate, Radio, Sender
-from studies.gate_histories.calls import CURRENT_CALL, Call, Life
+from studies.gate_histories.calls import CURRENT_CALL, Call, Given, Life
 from studies.gate_histories.disk import AuditEntry, Disk, LiveJournal, Rows
 from studies.gate_histories.electrode import Answer, Biobot
 from studies.gate_histories.virtual_time import TrueTime, VirtualLoop
@@ -278,11 +278,7 @@ class World:
             request=request,
             life=running.life,
             given_ns=self.time.now_ns,
-            age_ns=self.now_wall_ns - request.issued_wall_ns,
-            was_known=running.nodes.find(request.node) is not None,
-            can_send=running.sender.can_send(request.node),
             is_new=all(one.request != request for one in self.calls),
-            was_commander_there=not request.commander or request.commander in self.commanders,
         )
         self.calls.append(call)
 
@@ -292,6 +288,12 @@ class World:
 
         async def handle() -> None:
             CURRENT_CALL.set(call)
+            call.given = Given(
+                age_ns=self.now_wall_ns - request.issued_wall_ns,
+                is_known=running.nodes.find(request.node) is not None,
+                can_send=running.sender.can_send(request.node),
+                is_commander_there=not request.commander or request.commander in self.commanders,
+            )
             await running.gate.handle(request, listen)
 
         task = running.loop.create_task(handle())

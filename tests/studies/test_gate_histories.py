@@ -131,3 +131,61 @@ def test_a_batch_is_told_in_numbers_and_is_the_same_again() -> None:
     assert one.broken == ""
     assert one.counts["histories"] >= 10
     assert one.counts["trains at an electrode"] > 0
+
+
+# Faults that random histories found, as short as they could be made.
+
+
+def test_the_train_of_a_stop_that_no_radio_took_at_first_is_on_record() -> None:
+    world = _world(flight_s=0.1)
+    world.set_radio(0, is_up=False)
+    world.order(Order(action=_STOP, node=1))
+    world.wait(500)
+    world.set_radio(0, is_up=True)
+    world.wait(3_000)
+    assert _kinds(world) == set()
+
+
+def test_a_number_of_a_stop_that_did_not_come_to_disk_is_not_used_again() -> None:
+    """A backpack takes a stop of a number that it knows for a repetition, and lets the insect walk."""
+    world = _world(flight_s=0.1)
+    _turns(world, n=1, every_ms=3_000)
+    for _ in range(2):
+        world.restart_gateway(down_ms=100)
+        world.wait(0)
+        world.order(Order(action=_STOP, node=1))
+        world.wait(1)
+    assert _kinds(world) == set()
+
+
+def test_a_frame_does_not_wait_in_the_gateway_beyond_its_time_to_live() -> None:
+    world = _world(flight_s=1.0)
+    world.set_fates(0, (FrameFate(queued_ms=200, flight=1.0),))
+    world.order(Order(action=_TURN, node=1, ttl_ms=100))
+    world.wait(3_000)
+    assert _kinds(world) == set()
+
+
+def test_a_wall_clock_that_is_set_back_while_the_disk_is_slow_makes_no_command_younger() -> None:
+    world = _world(flight_s=1.0)
+    world.set_disk(is_full=False, commit_ms=400)
+    world.set_fates(0, (FrameFate(queued_ms=0, flight=1.0),))
+    world.order(Order(action=_TURN, node=1, ttl_ms=100))
+    world.wait(200)
+    world.jump_wall_clock(-3_600_000)
+    world.wait(3_000)
+    assert _kinds(world) == set()
+
+
+@pytest.mark.parametrize("n_lost_answers", [0, 3])
+def test_an_insect_that_an_older_frame_moves_after_a_stop_is_stopped_again(n_lost_answers: int) -> None:
+    """Frames pass each other: a dongle may try for seconds to deliver a start, and deliver the stop that follows at once."""
+    world = _world(flight_s=3.0)
+    world.set_fates(0, (FrameFate(flight=0.9, n_lost_answers=n_lost_answers),))
+    world.order(Order(action=StimulationAction.START, node=1))
+    world.wait(100)
+    world.set_fates(0, (FrameFate(),))
+    stop = world.order(Order(action=_STOP, node=1))
+    world.wait(20_000)
+    assert [one.action for one in world.biobots[stop.request.node].log] == [Action.STOP, Action.START, Action.STOP]
+    assert _kinds(world) == set()
