@@ -19,6 +19,7 @@ from gateway.tls_files import EXPIRES_SOON_DAYS, days_left
 _log = EventLog(__name__)
 
 _CLIENT_TIMEOUT_MS: Final = 3000
+_TOKEN_TIMEOUT_S: Final = 1.0
 _LOOK_EVERY_S: Final = 0.2
 _PATIENCE_S: Final = 1.5
 """Nobody is connected for so long before the reason is looked for."""
@@ -69,6 +70,17 @@ def open_client(*, connect: Sequence[str], tls: TlsTable, timing: ZenohTable | N
     except zenoh.ZError as error:
         reasons = "; ".join(f"{endpoint}: {reason}" for endpoint, reason in diagnose_all(connect, tls).items())
         raise BusError(f"cannot connect: {reasons or first_sentence(error)}") from error
+
+
+def is_token_seen(key: str, *, connect: Sequence[str], tls: TlsTable, timing: ZenohTable | None = None) -> bool | None:
+    """Return whether those that are connected to tell a newcomer of a token; None: none of them could be asked. Takes seconds."""
+    if not connect:
+        return None
+    try:
+        with open_client(connect=connect, tls=tls, timing=timing) as session:
+            return any(reply.ok is not None for reply in session.liveliness().get(key, timeout=_TOKEN_TIMEOUT_S))
+    except (BusError, zenoh.ZError):
+        return None
 
 
 def first_sentence(error: zenoh.ZError) -> str:

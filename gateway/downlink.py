@@ -91,6 +91,11 @@ class DownlinkSender:
         coordinator = self._coordinators.get(radio)
         return coordinator is not None and coordinator.is_up
 
+    def can_reach(self, node: NodeId) -> bool:
+        """Return whether the radio of a biobot takes payloads now."""
+        radio = self.radio_of(node)
+        return radio is not None and self.is_radio_up(radio)
+
     def n_pending(self, node: NodeId) -> int:
         """Return how many payloads wait for their fate at the radio of a biobot."""
         known = self._nodes.find(node)

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.contract.commands import StimulationRequest
@@ -18,12 +19,17 @@ from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
-from gateway.bus import Bus, CommandAnswer
+from gateway.audit_log import AuditLog
+from gateway.bus import Bus
+from gateway.bus_commands import CommandAnswer
 from gateway.clocks import ClockBook
+from gateway.commanders import LATE_TOKEN_S, Commanders
 from gateway.config import GatewayConfig, LinkTable
 from gateway.config_loading import read_address
 from gateway.configurator import Configurator
+from gateway.control_book import ControlBook
 from gateway.coordinator import Coordinator
+from gateway.dead_man import DeadMan
 from gateway.downlink import DownlinkSender
 from gateway.health import Health, RadioState
 from gateway.inquiries import Inquirer
@@ -52,6 +58,9 @@ _SWITCH_S = 0.0005
 """A thread that wants to go on while the loop is busy waits so long for the interpreter. A commit asks for it some times over; with
 Python's 5 ms each, commits took 20 ms under load instead of 3, and a dongle with 16 unconfirmed payloads stood still for as long
 (measured 2026-11)."""
+
+_REMEMBERED_STAGES = 30_000
+"""So many stages of commands are looked through at a start for biobots that were under control when the gateway ended."""
 
 _DRAIN_TIMEOUT_S = 5.0
 _CANCEL_AGAIN_S = 0.5
@@ -108,7 +117,8 @@ class Service:
                 await asyncio.to_thread(bus.close)
         finally:
             await asyncio.to_thread(self._journal.close)
-        _log.info("gateway.stopped", head_offset=self._journal.head_offset)
+        head = self._journal.audit_head
+        _log.info("gateway.stopped", head_offset=self._journal.head_offset, audit_rows=head.n_rows, audit_head=head.chain.hex())
 
     async def _run_parts(
         self, ports: dict[str, PortSpec], recorders: Mapping[str, Recorder], bus: Bus, on_ready: Callable[[], None] | None
@@ -171,6 +181,9 @@ class Service:
             on_refused=partial(self._on_unconfigured, bus),
             first_token=journal.identity.first_session,
         )
+        audit = AuditLog(journal=journal, reader=reader, health=health)
+        book = ControlBook()
+        commanders = Commanders(silence_s=config.stimulation.commander_silence_s, health=health, notes=audit)
         gate = StimulationGate(
             gateway=config.name,
             config=config.stimulation,
@@ -181,7 +194,24 @@ class Service:
             health=health,
             instant_of=journal.identity.instant_of,
             radio_timeout_s=config.link.radio_timeout_s,
+            is_commander_there=commanders.is_there,
+            controlled=lambda: book.controlled,
+            controller_of=book.operator_of,
         )
+        dead_man = DeadMan(
+            gate=gate,
+            book=book,
+            commanders=commanders,
+            can_reach=sender.can_reach,
+            last_heard_ns=nodes.last_heard_ns,
+            notes=audit,
+            health=health,
+            boot=journal.boot,
+        )
+        dead_man.restore(reader.read_last_stages(limit=_REMEMBERED_STAGES))
+        gate.listen(dead_man.hear)
+        gate.listen(lambda _request, stage: bus.publish_stage(stage))
+        gate.listen_to_accounts(bus.publish_account)
         intake.connect(
             IntakeListeners(
                 on_committed=acknowledger.mark,
@@ -191,6 +221,7 @@ class Service:
                 on_duplicate=partial(self._on_duplicate, bus),
                 on_diagnostic=partial(self._on_diagnostic, bus),
                 on_configuration=configurator.on_report,
+                on_limits=audit.note_announced,
                 on_unknown_clock=inquirer.note_refused,
             )
         )
@@ -201,17 +232,24 @@ class Service:
         try:
             async with asyncio.TaskGroup() as tasks:
                 signs_of_life = [tasks.create_task(self._vitals.run()), tasks.create_task(self._manager.watch())]
-                running = [tasks.create_task(journal.run())]
+                running = [tasks.create_task(journal.run()), tasks.create_task(audit.run())]
+                audit.begin({"name": config.name, "site": config.site, "version": version("biobot-gateway"), "ports": config.ports})
+                audit.note_limits(config.stimulation)
                 bus.start(
-                    on_command=partial(self._on_command, gate, tasks),
+                    on_command=partial(self._on_command, gate, commanders, tasks),
+                    on_turned_away=audit.turn_away,
                     open_reader=journal.reader,
                     journal=journal.journal_id,
+                    commanders=commanders,
                     on_watermark=journal.note_watermark,
                     on_damage=journal.note_damage,
                 )
+                for account in gate.accounts():
+                    bus.publish_account(account)
                 running.append(tasks.create_task(self._publish_status(bus, intake, nodes)))
                 running.append(tasks.create_task(acknowledger.run()))
                 running.append(tasks.create_task(inquirer.run()))
+                running.append(tasks.create_task(dead_man.run()))
                 running.append(tasks.create_task(configurator.run()))
                 if config.mission.is_enabled:
                     mission = Mission(
@@ -224,17 +262,18 @@ class Service:
                 if on_ready is not None:
                     on_ready()
                 await self._stopping.wait()
-                await self._wind_down(running, gate)
+                await self._wind_down(running, gate, dead_man, audit)
                 for task in signs_of_life:
                     task.cancel()
         finally:
             reader.close()
 
-    async def _wind_down(self, running: list[asyncio.Task[None]], gate: StimulationGate) -> None:
+    async def _wind_down(self, running: list[asyncio.Task[None]], gate: StimulationGate, dead_man: DeadMan, audit: AuditLog) -> None:
         """Stop in the reverse order of the start; the journal, started first, is drained before it ends."""
         _log.info("gateway.stopping")
         self._vitals.is_stopping = True
         self._manager.stopping()
+        await dead_man.wind_down(self._config.stimulation.on_shutdown)
         gate.abandon()
         journal_task, *others = running
         others += self._command_tasks
@@ -244,6 +283,7 @@ class Service:
             for task in reversed(others):
                 task.cancel()
             _, pending = await asyncio.wait(pending, timeout=_CANCEL_AGAIN_S)
+        audit.end("asked to stop")
         try:
             async with asyncio.timeout(_DRAIN_TIMEOUT_S):
                 await self._journal.drain()
@@ -251,10 +291,10 @@ class Service:
             _log.error("gateway.undrained", reason=self._journal.fault or "slow disk", seconds=_DRAIN_TIMEOUT_S)
         journal_task.cancel()
 
-    def _on_command(self, gate: StimulationGate, tasks: asyncio.TaskGroup, request: StimulationRequest, answer: CommandAnswer) -> None:
-        if self._stopping.is_set():
-            return
-        task = tasks.create_task(gate.handle(request, answer.tell))
+    def _on_command(
+        self, gate: StimulationGate, commanders: Commanders, tasks: asyncio.TaskGroup, request: StimulationRequest, answer: CommandAnswer
+    ) -> None:
+        task = tasks.create_task(_take_command(gate, commanders, request, answer))
         self._command_tasks.add(task)
         task.add_done_callback(self._command_tasks.discard)
 
@@ -321,10 +361,19 @@ class Service:
                     disk_free_bytes=None if vitals.disk is None else vitals.disk.free_bytes,
                     faults=(*vitals.faults(), *vitals.warnings()),
                     missing=tuple(vitals.missing()),
+                    audit_rows=journal.audit_head.n_rows,
+                    audit_head=journal.audit_head.chain.hex(),
                 )
             )
             await asyncio.sleep(_STATUS_PERIOD_S)
             intake.forget_old(now_ns=time.monotonic_ns())
+
+
+async def _take_command(gate: StimulationGate, commanders: Commanders, request: StimulationRequest, answer: CommandAnswer) -> None:
+    if request.commander and not commanders.is_there(request.commander):
+        # Its token may be on its way still; the gate refuses what comes without one.
+        await commanders.wait_for(request.commander, timeout_s=min(LATE_TOKEN_S, request.ttl_ms / 1000))
+    await gate.handle(request, answer.tell)
 
 
 async def run_gateway(config: GatewayConfig) -> None:
@@ -357,7 +406,8 @@ def _retention_of(config: GatewayConfig) -> Retention:
         max_age_ns=None if table.max_age_days is None else days(table.max_age_days),
         max_size=None if table.max_mb is None else int(table.max_mb * 1_000_000),
         keep_ns=int(config.encounters.window_s * NS_PER_S),
-        audit_age_ns=days(table.audit_days),
+        # Trains that still count must be found again at a restart.
+        audit_age_ns=max(days(table.audit_days), 2 * int(config.stimulation.window_s * NS_PER_S)),
         node_age_ns=days(table.node_days),
         mapper_age_ns=days(table.mapper_days),
     )

@@ -13,6 +13,9 @@ import pytest
 import hatch_build
 from tests.mapper.worlds import NS, walk_track
 
+pytestmark = pytest.mark.xdist_group("build")
+"""What they share is made once, by one worker."""
+
 ROOT = Path(__file__).parents[1]
 BUILD = "import sys; from hatchling.build import build_wheel; print(build_wheel(sys.argv[1]))"
 

@@ -1,6 +1,8 @@
 """The journal's file: segments of records and reports in SQLite, written by one gateway and read by anybody (docs/journal.md)."""
 
 from gateway.journal_file.audit_chain import ChainHead
+from gateway.journal_file.audit_reading import AuditSelection, Dose, UnreadableRow, read_audit_rows, read_doses, verify_audit_of
+from gateway.journal_file.audit_verify import AuditFindings
 from gateway.journal_file.description import describe_journal, expect_fit_to_open, expect_journal
 from gateway.journal_file.file import PROGRESS, SESSIONS_PER_START, JournalFile, open_journal_file
 from gateway.journal_file.integrity import check_journal
@@ -18,9 +20,12 @@ __all__ = [
     "SESSIONS_PER_START",
     "STAGE",
     "AuditEntry",
+    "AuditFindings",
+    "AuditSelection",
     "ChainHead",
     "Committed",
     "Damage",
+    "Dose",
     "JournalFile",
     "JournalIdentity",
     "JournalReader",
@@ -29,6 +34,7 @@ __all__ = [
     "RecordPage",
     "Retention",
     "SegmentBuilder",
+    "UnreadableRow",
     "Upkeep",
     "UplinkReport",
     "check_journal",
@@ -37,6 +43,9 @@ __all__ = [
     "expect_journal",
     "newest_offset",
     "open_journal_file",
+    "read_audit_rows",
+    "read_doses",
+    "verify_audit_of",
     "walk_records",
     "walk_reports",
 ]

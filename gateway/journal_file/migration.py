@@ -13,7 +13,7 @@ from pathlib import Path
 
 from firmware_protocol.contract.records import decode_journal_record
 from firmware_protocol.units import BootId, NodeId
-from gateway.journal_file.audit_table import GENESIS, Stamp, chain_old_rows
+from gateway.journal_file.audit_table import GENESIS, HEAD, Stamp, chain_old_rows
 from gateway.journal_file.schema import COMMIT, FIRST_SCHEMA_VERSION, make_tables, renew_tables
 from gateway.journal_file.segments import SegmentBuilder, Windows
 from gateway.journal_file.writes import JournalWrite, UplinkReport
@@ -96,6 +96,7 @@ def _copy(old: sqlite3.Connection, new: sqlite3.Connection, stamp: Stamp) -> Non
             places = ", ".join("?" * len(rows.description))
             new.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({places})", rows)  # noqa: S608  # names of this file
         new.execute("INSERT OR REPLACE INTO meta SELECT ?, value FROM meta WHERE key = 'journal'", (GENESIS,))
+        new.execute("DELETE FROM meta WHERE key = ?", (HEAD,))  # it follows from that name
         old_audit = old.execute(_AUDIT.format(ran_ns=0, table="audit"))
         head = chain_old_rows(new, old_audit, from_version=FIRST_SCHEMA_VERSION, stamp=stamp)
         new.execute("COMMIT")

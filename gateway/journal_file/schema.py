@@ -10,6 +10,7 @@ import sqlite3
 from pathlib import Path
 
 from gateway.errors import JournalUnfitError
+from gateway.journal_file.audit_chain import genesis
 
 APPLICATION_ID = 0x42494F47
 """In SQLite's header, "BIOG": this file is a gateway's journal."""
@@ -110,7 +111,8 @@ def make_tables(connection: sqlite3.Connection, *, journal: str | None = None) -
     for statement in (*_TABLES, *_COMMITS):
         connection.execute(statement)
     name = journal or secrets.token_hex(4)
-    connection.execute("INSERT INTO meta VALUES ('journal', ?), ('boot', '0'), ('audit_genesis', ?)", (name, name))
+    names = (name, name, genesis(name).text())
+    connection.execute("INSERT INTO meta VALUES ('journal', ?), ('boot', '0'), ('audit_genesis', ?), ('audit_head', ?)", names)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("COMMIT")

@@ -160,7 +160,7 @@ class StageTeller:
             command_id=stage.command_id,
             wire_command=command.wire_command,
             kind=row or STAGE,
-            stage=stage.stage.value,
+            stage=row or stage.stage.value,
             node=stage.node if node is None else node,
             operator=command.request.operator,
             mono_ns=self._now_ns(),

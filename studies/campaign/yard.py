@@ -146,8 +146,10 @@ class Yard:
         self._begins_at_ns = at_ns
 
     def stop(self, at_ns: int) -> None:
-        """Let no meeting begin after ``at_ns``; those under way come to their end."""
+        """Let no meeting begin after ``at_ns``, and no mode change; meetings under way come to their end."""
         self._stops_at_ns = at_ns
+        self._happenings = [one for one in self._happenings if one[0] <= at_ns or isinstance(one[2], _End)]
+        heapq.heapify(self._happenings)
 
     def step(self, now_ns: int) -> None:
         """Do everything that is due by now."""
@@ -260,9 +262,6 @@ class Yard:
             case _Begin(side=side, end_ns=end_ns):
                 life = self._lives[side.node]
                 backpack = life.backpack
-                is_over = self._stops_at_ns is not None and at_ns > self._stops_at_ns
-                if is_over:
-                    return
                 is_full = (
                     backpack.n_buffered > _MOST_WAITING or backpack.n_buffered + backpack.n_open > self._backpack_config.capacity - _SPARE
                 )

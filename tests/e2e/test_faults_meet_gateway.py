@@ -2,6 +2,8 @@
 
 import asyncio
 import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,7 @@ from tests.e2e.simulation import as_rows, current, end_of, ready, simulating
 from tests.gateway.fake_radio import until
 from tests.gateway.harness import a_config, listening, running
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(240), pytest.mark.xdist_group("faults meet gateway")]
 
 # About one frame in thirty is damaged.
 BYTES = ("bit-flip=1e-4", "drop=1e-4", "insert=3e-4", "truncate=5e-5")
@@ -35,29 +37,53 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("dialect", "faults", "kinds"), CASES)
-def test_nothing_is_lost_and_nothing_is_there_twice(dialect: str, faults: tuple[str, ...], kinds: set[str], tmp_path: Path) -> None:
-    out, ready_file = tmp_path / "out", tmp_path / "ready"
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Life:
+    """A run of the simulator with faults: what it left behind, and all that was heard of the gateway in front of it."""
 
-    async def story() -> list[JournalRecord]:
-        with simulating(
-            "serve", "--scenario", "no-obstacle", "--seed", "77", "--biobots", "30", "--speed", "40", "--duration", "3",
-            "--link", f"pty:{tmp_path / 'dongle'}?dialect={dialect}", *(flag for fault in faults for flag in ("--fault", fault)),
-            "--drain-s", "60", "--report-period-s", "0.2", "--out", str(out), "--ready-file", str(ready_file),
-        ) as process:  # fmt: skip
-            (address,) = await ready(process, ready_file)
-            config = a_config(tmp_path, address)
-            with listening(config) as peer:
-                async with running(config):
-                    await peer.hear()
-                    told = await end_of(process)
-                    await until(lambda: check_ledger(out, as_rows(current(peer.records))).is_complete, what="every report is a record")
-                    assert told.count('"fault.begins"') >= told.count('"fault.ended"')
-                return peer.records
+    out: Path
+    told: str
+    records: list[JournalRecord]
 
-    records = asyncio.run(story())
-    run = json.loads((out / "run.json").read_text())
-    ledger = check_ledger(out, as_rows(current(records)))
+
+async def live_through(dialect: str, faults: tuple[str, ...], place: Path) -> Life:
+    out, ready_file = place / "out", place / "ready"
+    with simulating(
+        "serve", "--scenario", "no-obstacle", "--seed", "77", "--biobots", "30", "--speed", "40", "--duration", "3",
+        "--link", f"pty:{place / 'dongle'}?dialect={dialect}", *(flag for fault in faults for flag in ("--fault", fault)),
+        "--drain-s", "60", "--report-period-s", "0.2", "--out", str(out), "--ready-file", str(ready_file),
+    ) as process:  # fmt: skip
+        (address,) = await ready(process, ready_file)
+        config = a_config(place, address)
+        with listening(config) as peer:
+            async with running(config):
+                await peer.hear()
+                told = await end_of(process)
+                await until(lambda: check_ledger(out, as_rows(current(peer.records))).is_complete, what="every report is a record")
+            return Life(out=out, told=told, records=peer.records)
+
+
+@pytest.fixture(scope="module")
+def lives(tmp_path_factory: pytest.TempPathFactory) -> list[Life | BaseException]:
+    """All cases at the same time, for each of them mostly waits; of one that fails, why."""
+    places = [tmp_path_factory.mktemp("life") for _ in CASES]
+
+    async def live_all() -> list[Life | BaseException]:
+        asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(32))  # a thread waits for each simulator
+        stories = (live_through(dialect, faults, place) for place, (dialect, faults, _) in zip(places, CASES, strict=True))
+        return await asyncio.gather(*stories, return_exceptions=True)
+
+    return asyncio.run(live_all())
+
+
+@pytest.mark.parametrize("number", range(len(CASES)), ids=[f"{dialect}-{len(faults)}-faults" for dialect, faults, _ in CASES])
+def test_nothing_is_lost_and_nothing_is_there_twice(number: int, lives: list[Life | BaseException]) -> None:
+    life, kinds = lives[number], CASES[number][2]
+    if isinstance(life, BaseException):
+        raise life
+    run = json.loads((life.out / "run.json").read_text())
+    ledger = check_ledger(life.out, as_rows(current(life.records)))
+    assert life.told.count('"fault.begins"') >= life.told.count('"fault.ended"')
     assert ledger.is_complete, ledger
     assert ledger.n_encounters > 30
     assert run["reports_unacknowledged"] == run["encounters_dropped_by_backpacks"] == 0

@@ -9,7 +9,8 @@ import zenoh
 from firmware_protocol.contract.commands import StimulationAction, StimulationRequest
 from firmware_protocol.contract.keys import Stream, build_key
 from firmware_protocol.contract.records import Mode, Watermark, encode_record
-from gateway.bus import Bus, CommandAnswer
+from gateway.bus import Bus
+from gateway.bus_commands import CommandAnswer
 from gateway.health import Health
 from gateway.journal import Journal
 from gateway.journal_file import JournalWrite
@@ -48,7 +49,7 @@ def test_a_stop_passes_where_as_many_commands_wait_as_may(tmp_path: Path) -> Non
                 while not health.counters().get("bus.refused_queries") and time.monotonic() < deadline_s:
                     time.sleep(0.01)  # noqa: ASYNC251  # to hold the loop is the point
                 ask(StimulationAction.STOP)
-                while len(bus._commands) < 257 and time.monotonic() < deadline_s:
+                while bus.n_waiting < 257 and time.monotonic() < deadline_s:
                     time.sleep(0.01)  # noqa: ASYNC251  # same
                 assert health.counters()["bus.refused_queries"] > 0
                 await until(lambda: any(request.action is StimulationAction.STOP for request in taken), what="the stop is handed over")

@@ -21,6 +21,9 @@ from gateway.transports.spec import parse_port_spec
 from tests.gateway.fake_radio import FakeBackpack, a_dongle, on_pty
 from tests.gateway.virtual_dongles import dongle_on_tcp
 
+pytestmark = pytest.mark.xdist_group("check radio")
+"""What they share is made once, by one worker."""
+
 _ROOT = Path(__file__).parents[2]
 _SERIAL = [dialect for dialect in DIALECTS if "can" not in dialect]
 

@@ -1,15 +1,18 @@
 """Laws of the gate, on a real journal and with radios and biobots that do as the test says."""
 
 import asyncio
+import itertools
 import sqlite3
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, Stage, StimulationAction
 from firmware_protocol.contract.records import Mode
 from firmware_protocol.messages import StimulationResult
-from firmware_protocol.units import BootId, NodeId, ShortAddress
+from firmware_protocol.units import BootId, Nanoseconds, NodeId, ShortAddress
 from gateway.journal_file import JournalReader, JournalWrite
 from gateway.nodes import NodeMemory
 from gateway.radio import Fate
@@ -73,16 +76,12 @@ def test_what_was_given_counts_after_a_restart_whatever_is_done_to_the_wall_cloc
             assert _told(stages) == [Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED], "answered, and not obeyed"
             late = a_command(5, _START)
             heard: list[CommandStage] = []
-            await site.gate.handle(type(late)(**{**_fields(late), "issued_wall_ns": time.time_ns() + 365 * 86_400 * 10**9}), heard.append)
+            await site.gate.handle(replace(late, issued_wall_ns=Nanoseconds(late.issued_wall_ns + 365 * 86_400 * 10**9)), heard.append)
             assert heard[-1].refusal is Refusal.GAP
             assert site.air.frames == []
 
     _run(tmp_path / "j", story=give)
     asyncio.run(ask_a_year_later())
-
-
-def _fields(request: object) -> dict[str, object]:
-    return {name: getattr(request, name) for name in request.__struct_fields__}  # type: ignore[attr-defined]  # a Struct
 
 
 def test_after_a_kill_no_biobot_gets_a_train_before_one_that_is_not_on_record_must_be_over(tmp_path: Path) -> None:
@@ -223,7 +222,7 @@ def test_every_stage_but_the_last_says_by_when_the_next_one_comes_and_keeps_to_i
             assert stages[-1].stage is Stage.UNKNOWN
             assert last in stages[-1].reason
             assert all(stage.operator == "tester" for stage in stages)
-            for before, after in zip(stages, stages[1:], strict=False):
+            for before, after in itertools.pairwise(stages):
                 assert before.deadline_wall_ns is not None
                 assert after.wall_ns <= before.deadline_wall_ns + 10**9, "the machine may be busy"
             assert stages[-1].deadline_wall_ns is None

@@ -133,7 +133,7 @@ def test_biobots_have_limits_of_their_own() -> None:
 
 def test_what_is_kept_of_a_biobot_is_bounded_and_refuses_as_all_of_it_would() -> None:
     ledger = TrainLedger(limits=_LIMITS)
-    for _ in range(10_000):
+    for _ in range(1_000):
         ledger.reserve(_NODE, train_ms=1, latest_ns=0, now_ns=0)
     assert len(ledger._trains[_NODE]) == 4 * _LIMITS.max_trains
     refused = ledger.refusal(_NODE, train_ms=1, now_ns=50 * NS_PER_S)

@@ -17,6 +17,9 @@ from simulator.errors import SnapshotError
 from simulator.expedition import Expedition
 from tests.simulator.arenas import square
 
+pytestmark = pytest.mark.xdist_group("expedition")
+"""What they share is made once, by one worker."""
+
 BUSY = RunConfig(
     scenario="closing-door",
     seed=4,

@@ -13,6 +13,9 @@ from simulator.pictures.page import render_page
 from simulator.pictures.recorded_run import RecordedRun, read_run
 from tests.simulator.runs import change_description, make_run, run_with_a_door_that_closes
 
+pytestmark = pytest.mark.xdist_group("simulator page")
+"""What they share is made once, by one worker."""
+
 CHROMIUM = shutil.which("chromium")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--host-resolver-rules=MAP * ~NOTFOUND"]
 

@@ -24,6 +24,9 @@ from simulator.truth import TruthRecorder
 from simulator.world import World
 from tests.simulator.arenas import square
 
+pytestmark = pytest.mark.xdist_group("sensing")
+"""What they share is made once, by one worker."""
+
 SECONDS = 60.0
 
 

@@ -19,6 +19,9 @@ from studies.map_measures import Bench, Comparison, MapTiming, affordable_repeat
 from studies.map_timing import CASES
 from studies.plain_paths import PlainSample, sample_by_all_pairs, sample_by_dijkstra
 
+pytestmark = pytest.mark.xdist_group("bench map")
+"""What they share is made once, by one worker."""
+
 _N = 2000
 
 

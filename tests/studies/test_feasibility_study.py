@@ -16,6 +16,9 @@ from studies.cases import Options, Workers, results_of, run_cases
 from studies.feasibility_fit import as_plan, fit_law, loss, with_obstacle
 from studies.feasibility_runs import OBSTACLE, PLANS, Outcome, PlanCase, ScaledPlan, draw_plan, run_plan
 
+pytestmark = pytest.mark.xdist_group("feasibility study")
+"""What they share is made once, by one worker."""
+
 SHORT = ScaledPlan(biobots=20, landmarks=5, detection=0.05, leg=0.3, path=4.0, obstacle=0.3)
 LAW = load_law()
 

@@ -28,6 +28,9 @@ from studies.errors import MapFileError, OtherRunError, RunDirectoryError
 from studies.scores import count_enclosed, describe, main, score_map, signal_to_noise, winding_number
 from studies.truth import diagram_of, find_encounters, load_run, obstacle_points, true_distances
 
+pytestmark = pytest.mark.xdist_group("scores")
+"""What they share is made once, by one worker."""
+
 Floats = NDArray[np.float64]
 
 ROOM = box(0, 0, 10, 10)
