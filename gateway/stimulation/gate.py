@@ -30,6 +30,7 @@ from gateway.stimulation.admission import Circumstances, admit, unknown_biobot
 from gateway.stimulation.answers import AnswerKeeper, is_done
 from gateway.stimulation.commands import Command, CommandBook
 from gateway.stimulation.effects import Effects
+from gateway.stimulation.late_frames import LateFrames
 from gateway.stimulation.ledger import Train, TrainLedger
 from gateway.stimulation.outside import AccountListener, AuditReader, CommandJournal, CommandListener, CommandSender, StageListener
 from gateway.stimulation.restoring import CLOSED, GATE, OPENED, restore_trains, was_killed
@@ -109,6 +110,7 @@ class StimulationGate:
         self._teller = teller = StageTeller(gateway=gateway, journal=journal, health=health, now_ns=now_ns, wall_clock=wall_clock)
         teller.listen_to_rows(self._account_for)
         self._answers = answers = AnswerKeeper(teller=teller, ledger=ledger, now_ns=now_ns)
+        late = LateFrames(now_ns=now_ns)
         self._stimuli = Stimuli(
             table=config,
             radio_timeout_s=radio_timeout_s,
@@ -116,6 +118,7 @@ class StimulationGate:
             ledger=ledger,
             teller=teller,
             answers=answers,
+            late=late,
             now_ns=now_ns,
             wall_clock=wall_clock,
             journal_fault=lambda: journal.fault,
@@ -130,6 +133,8 @@ class StimulationGate:
             answers=answers,
             health=health,
             now_ns=now_ns,
+            late=late,
+            take_number=self._take_number,
             are_trains_allowed=self._may_stops_give_trains,
         )
         self._stop_all = StopAll(
@@ -144,8 +149,9 @@ class StimulationGate:
             controlled=controlled,
         )
         last = reader.read_last_wire_command()
-        # A new journal must not begin at a number that a backpack remembers from an old one.
-        self._next_number = new_number() if last is None else last + _SKIPPED_NUMBERS
+        # A new journal must not begin at a number that a backpack remembers from an old one; nor must one on which nothing came since the
+        # process before this one began: its stops had numbers too. So where it begins is written down, and is by chance where it was not.
+        self._next_number = new_number() if last is None else last + _SKIPPED_NUMBERS * (1 + new_number() % _SKIPPED_NUMBERS)
         self._restore(instant_of)
         self._opened = self._write_gate(OPENED)
 
@@ -235,7 +241,7 @@ class StimulationGate:
                 reason = "this command id was used for another command; give each command its own"
                 self._answer_refused(command, Refused(refusal=Refusal.ID_REUSED, reason=reason))
                 return
-            command.key = self._free_key(command.key)
+            command.key = self._book.free_key(command.key)
         self._book.begin(command)
         try:
             await self._run(command)
@@ -315,11 +321,6 @@ class StimulationGate:
         self._next_number += 1
         return number
 
-    def _free_key(self, key: str) -> str:
-        while self._book.find(key) is not None:
-            key += " again"
-        return key
-
     def _recall(self, asked: Command) -> Command | None:
         """Return a command of the journal, with a final stage even where the gateway stopped before one was known."""
         entries = [entry for entry in self._reader.read_audit(command_id=asked.request.command_id) if entry.kind == STAGE]
@@ -355,7 +356,9 @@ class StimulationGate:
             yield row
 
     def _write_gate(self, stage: str) -> "asyncio.Future[None] | None":
-        entry = AuditEntry(wall_ns=self._wall_clock(), mono_ns=self._now_ns(), kind=GATE, stage=stage, body=_NO_FACTS)
+        entry = AuditEntry(
+            wall_ns=self._wall_clock(), mono_ns=self._now_ns(), kind=GATE, stage=stage, wire_command=self._take_number(), body=_NO_FACTS
+        )
         try:
             return self._journal.append(JournalWrite(audit=entry))
         except JournalFullError as error:

@@ -49,7 +49,7 @@ def restore_trains(
         if row.train_ms:
             begins_ns = at_ns if row.kind == STRAYED else latest_ns(at_ns + int(COMMIT_TIMEOUT_S * NS_PER_S))
             train = ledger.reserve(row.node, train_ms=row.train_ms, latest_ns=begins_ns, now_ns=now_ns)
-            if row.kind == STAGE:
+            if row.kind != STRAYED:
                 trains[row.command_id] = train
         elif row.command_id in trains:
             known = trains[row.command_id]

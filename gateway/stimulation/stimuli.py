@@ -12,6 +12,7 @@ from gateway.stimulation import frames
 from gateway.stimulation.admission import remaining_ms
 from gateway.stimulation.answers import AnswerKeeper
 from gateway.stimulation.commands import Command
+from gateway.stimulation.late_frames import LateFrames
 from gateway.stimulation.ledger import TrainLedger
 from gateway.stimulation.outside import CommandSender, Sending
 from gateway.stimulation.pulses import Pulse
@@ -19,7 +20,7 @@ from gateway.stimulation.telling import COMMIT_TIMEOUT_S, StageTeller
 from gateway.stimulation.verdict import Refused
 
 UNWRITTEN_S = 1.0
-"""A frame that was not written to its dongle's line after this is taken back: what it asks for is too old for an animal."""
+"""A frame that was not written to its dongle's line after this, or within its time to live, is taken back: what it asks for is too old."""
 
 _QUEUE_NS = (frames.MAX_QUEUED_MS + 10) * NS_PER_MS
 """How long after its frame a train may begin: what the backpack may have it wait, in ticks of its own clock."""
@@ -50,6 +51,7 @@ class Stimuli:
         ledger: TrainLedger,
         teller: StageTeller,
         answers: AnswerKeeper,
+        late: LateFrames,
         now_ns: Callable[[], int],
         wall_clock: Callable[[], int],
         journal_fault: Callable[[], str | None],
@@ -60,6 +62,7 @@ class Stimuli:
         self._ledger = ledger
         self._teller = teller
         self._answers = answers
+        self._late = late
         self._flight = Flight(table=table)
         self._now_ns = now_ns
         self._wall_clock = wall_clock
@@ -69,6 +72,8 @@ class Stimuli:
         """Take an admitted command to its last stage."""
         began_ns, node = self._now_ns(), command.request.node
         until_ns = began_ns + int(COMMIT_TIMEOUT_S * NS_PER_S)
+        # From here on the monotonic clock counts: a wall clock that is set back makes no command younger.
+        expires_ns = began_ns + remaining_ms(command.request, now_wall_ns=self._wall_clock()) * NS_PER_MS
         if pulse.duration_ms:
             # From now on: no other one must be admitted while this one waits for the disk.
             latest_ns = self._flight.latest_ns(now_ns=until_ns)
@@ -78,9 +83,9 @@ class Stimuli:
         if command.is_final:  # the gateway ends
             self._take_back(command)
             return
-        refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns)
+        ttl_ms = min((expires_ns - self._now_ns()) // NS_PER_MS, remaining_ms(command.request, now_wall_ns=self._wall_clock()))
+        refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns, ttl_ms=ttl_ms)
         if refused is None:
-            ttl_ms = remaining_ms(command.request, now_wall_ns=self._wall_clock())
             try:
                 sending = self._sender.send(node, frames.stimulus(command, pulse, ttl_ms=ttl_ms))
             except RadioUnavailableError as error:
@@ -93,13 +98,14 @@ class Stimuli:
         command.sendings.append(sending)
         if command.train is not None:
             command.train.latest_ns = self._flight.latest_ns(now_ns=sent_ns)
+        self._late.add(command, latest_ns=self._flight.latest_ns(now_ns=sent_ns))
         self._teller.announce(command, accepted)
-        await self._follow(command, sending, sent_ns=sent_ns)
+        await self._follow(command, sending, sent_ns=sent_ns, ttl_ms=ttl_ms)
 
-    async def _follow(self, command: Command, sending: Sending, *, sent_ns: int) -> None:
+    async def _follow(self, command: Command, sending: Sending, *, sent_ns: int, ttl_ms: int) -> None:
         """Wait for radio and biobot, each until its deadline."""
         deadline_ns = sent_ns + self._radio_timeout_ns
-        unwritten_ns = sent_ns + int(UNWRITTEN_S * NS_PER_S)
+        unwritten_ns = sent_ns + min(int(UNWRITTEN_S * NS_PER_S), ttl_ms * NS_PER_MS)
         outcome: RadioOutcome | None = None
         while not command.reply.done() and not command.is_final:
             now_ns = self._now_ns()
@@ -144,14 +150,14 @@ class Stimuli:
             return f"the radio has sent it, but no answer of the biobot within {reply_s:g} s; it may have been obeyed"
         return f"no answer within {reply_s:g} s ({outcome.reason or 'the radio does not say what became of it'}); it may have been obeyed"
 
-    def _why_not_now(self, command: Command, *, is_on_disk: bool) -> Refused | None:
+    def _why_not_now(self, command: Command, *, is_on_disk: bool, ttl_ms: int) -> Refused | None:
         """Return why a command that was admitted must not be sent after its wait for the disk, or None."""
         if command.is_overtaken:
             return _OVERTAKEN
         if not is_on_disk:
             reason = f"the journal takes nothing ({self._journal_fault() or 'slow disk'}); make room on its disk, or use a faster one"
             return Refused(refusal=Refusal.JOURNAL, reason=reason)
-        if remaining_ms(command.request, now_wall_ns=self._wall_clock()) <= 0:
+        if ttl_ms <= 0:
             return Refused(refusal=Refusal.STALE, reason="it expired before it could be sent; give it a longer time to live")
         return None
 

@@ -6,7 +6,6 @@ whole swarm is no way to end one. Those under controlled motion come first, and 
 
 import asyncio
 import contextlib
-import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
@@ -20,7 +19,8 @@ from gateway.nodes import NodeBook
 from gateway.radio import Fate
 from gateway.stimulation import frames
 from gateway.stimulation.answers import AnswerKeeper
-from gateway.stimulation.commands import Command, CommandBook
+from gateway.stimulation.commands import Command, CommandBook, derived_id
+from gateway.stimulation.late_frames import LateFrame
 from gateway.stimulation.outside import CommandSender, Sending
 from gateway.stimulation.pulses import pulse_of
 from gateway.stimulation.stops import Stops
@@ -39,7 +39,6 @@ _SPARE_S = 1.0
 """Beside what the rounds take, until the last stage is told."""
 
 _NAMED = 10
-_MAX_ID = 64
 
 
 class StopAll:
@@ -74,17 +73,23 @@ class StopAll:
         sweep.broadcast()
         self._stops.overtake(self._book.running())
         sweep.begin(n_known=len(self._nodes))
+        late: dict[Command, list[LateFrame]] = {}
         try:
             for is_near, request in self._requests(whole):
                 assert whole.wire_command is not None
-                part = Command(request=request, key=self._free_key(request.command_id), part_of=whole.request.command_id)
+                part = Command(request=request, key=self._book.free_key(request.command_id), part_of=whole.request.command_id)
                 self._book.begin(part)
                 self._book.number(part, whole.wire_command)
+                late[part] = self._stops.begin(part)
                 sweep.add(part, is_near=is_near)
             await sweep.run()
         finally:
             for part in sweep.parts:
                 self._book.finish(part)
+        async with asyncio.TaskGroup() as tasks:
+            for part, frames_of_part in late.items():
+                if frames_of_part:
+                    tasks.create_task(self._stops.stop_again(part, frames_of_part))
 
     def _requests(self, whole: Command) -> Iterator[tuple[bool, StimulationRequest]]:
         """Yield a stop of each biobot that is known, and whether it is within reach; those under controlled motion first."""
@@ -95,12 +100,6 @@ class StopAll:
             if node is not None:
                 is_near = bool(node.last_heard_ns) and node.last_heard_ns >= now_ns - REACHABLE_NS
                 yield is_near or name in controlled, _part_of(whole.request, name)
-
-    def _free_key(self, command_id: str) -> str:
-        key = command_id
-        while self._book.find(key) is not None:
-            key += " again"
-        return key
 
 
 class _Sweep:
@@ -248,12 +247,8 @@ class _Sweep:
 
 def _part_of(whole: StimulationRequest, node: NodeId) -> StimulationRequest:
     """Return the stop of one biobot that is a part of one of all; its id is the whole's and the biobot's number."""
-    command_id = f"{whole.command_id}.{node}"
-    if len(command_id) > _MAX_ID:
-        digest = hashlib.sha256(whole.command_id.encode()).hexdigest()[:16]
-        command_id = f"{whole.command_id[: _MAX_ID - 24]}-{digest}.{node}"
     return StimulationRequest(
-        command_id=command_id,
+        command_id=derived_id(whole.command_id, str(node)),
         node=node,
         action=StimulationAction.STOP,
         operator=whole.operator,

@@ -41,10 +41,11 @@ def run_batch(batch: Batch) -> BatchResult:
             counts.update(_count(world))
         is_shrinking = is_shrinking or bool(found)
 
-    def make() -> GateHistory:
-        return GateHistory(report)
+    class Reporting(GateHistory):
+        def __init__(self) -> None:
+            super().__init__(report)
 
-    seed(batch.number)(make)
+    seed(batch.number)(Reporting)
     how = settings(
         max_examples=batch.n_histories,
         stateful_step_count=_STEPS,
@@ -57,7 +58,7 @@ def run_batch(batch: Batch) -> BatchResult:
     )
     with contextlib.redirect_stdout(io.StringIO()) as told:
         try:
-            run_state_machine_as_test(make, settings=how)
+            run_state_machine_as_test(Reporting, settings=how)
         except AssertionError as error:
             return BatchResult(counts=counts, broken="\n".join((told.getvalue(), *getattr(error, "__notes__", ()), str(error))).strip())
     return BatchResult(counts=counts)

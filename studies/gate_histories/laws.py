@@ -109,22 +109,28 @@ def _orders(world: World, node: NodeId, log: list[Actuation]) -> Iterator[str]:
                 yield f"made a stop: {_said(one)} of {_named(call)}"
             continue
         moves.append((one.begin_ns, call))
-        if one.action is None or one.action.name.lower() != request.action.value:
-            yield f"another action: {_said(one)} of {_named(call)}"
-        assert call.given is not None
-        left_ns = request.ttl_ms * NS_PER_MS - max(0, call.given.age_ns)
-        if left_ns <= 0:
-            yield f"stale: {_named(call)} was {call.given.age_ns / NS_PER_S:.3f} s old when it was given, and moved the insect"
-        if (late_ns := one.begin_ns - (call.given_ns + left_ns + flight_ns)) > _TICK_NS:
-            yield f"late: {_said(one)} of {_named(call)} came {late_ns / NS_PER_S:.3f} s after its time to live and the flight"
-        if not call.given.is_commander_there:
-            yield f"no commander: {_said(one)} of {_named(call)}"
+        yield from _moves(one, call, flight_ns=flight_ns)
     for (name, action), n in executed.items():
         # A stop that is asked for anew may be obeyed anew.
         n_asked = sum((call.request.command_id, call.request.action) == (name, action) for call in world.calls)
         if n > (n_asked if action in _STOPS else 1):
             yield f"twice: {action.value} {name} was executed {n} times on biobot {node}"
     yield from _after_stops(world, node, log, moves)
+
+
+def _moves(one: Actuation, call: Call, *, flight_ns: int) -> Iterator[str]:
+    """A command moves as it was asked, in its time, and with its commander."""
+    request = call.request
+    if one.action is None or one.action.name.lower() != request.action.value:
+        yield f"another action: {_said(one)} of {_named(call)}"
+    assert call.given is not None
+    left_ns = request.ttl_ms * NS_PER_MS - max(0, call.given.age_ns)
+    if left_ns <= 0:
+        yield f"stale: {_named(call)} was {call.given.age_ns / NS_PER_S:.3f} s old when it was given, and moved the insect"
+    if (late_ns := one.begin_ns - (call.given_ns + left_ns + flight_ns)) > _TICK_NS:
+        yield f"late: {_said(one)} of {_named(call)} came {late_ns / NS_PER_S:.3f} s after its time to live and the flight"
+    if not call.given.is_commander_there:
+        yield f"no commander: {_said(one)} of {_named(call)}"
 
 
 def _after_stops(world: World, node: NodeId, log: list[Actuation], moves: list[tuple[int, Call]]) -> Iterator[str]:
@@ -138,9 +144,11 @@ def _after_stops(world: World, node: NodeId, log: list[Actuation], moves: list[t
         wires = {frame.message.command for frame in world.air.frames if frame.call is not None and _is_of(frame.call, call)}
         if not any(one.mode is WireMode.S and one.command in wires and one.begin_ns <= confirmed_ns for one in log):
             yield f"not stopped: {_named(call)} was confirmed, and did nothing"
+            continue
+        stopped_ns = min(one.begin_ns for one in log if one.mode is WireMode.S and one.command in wires)
         for at, moving in moves:
-            if at > confirmed_ns and moving.number < call.number and not _is_stopped_again(world, node, at, stop=call):
-                yield f"moved after a stop: {_named(moving)}, {(at - confirmed_ns) / NS_PER_S:.3f} s after {_named(call)} was confirmed"
+            if at > stopped_ns and moving.number < call.number and not _is_stopped_again(world, node, at, stop=call):
+                yield f"moved after a stop: {_named(moving)}, {(at - stopped_ns) / NS_PER_S:.3f} s after {_named(call)} had stopped it"
 
 
 def _is_stopped_again(world: World, node: NodeId, moved_ns: int, *, stop: Call) -> bool:

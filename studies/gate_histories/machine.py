@@ -12,7 +12,7 @@ from studies.gate_histories import sites
 from studies.gate_histories.disk import MemoryRows, StoredRows
 from studies.gate_histories.laws import violations
 from studies.gate_histories.story import tell
-from studies.gate_histories.world import Order, World
+from studies.gate_histories.world import Order, Site, World
 
 _STORED = range(40, 43)
 """Of 0 to 99: the histories that have their journal in a file; Hypothesis likes the ends of a range."""
@@ -33,7 +33,7 @@ class GateHistory(RuleBasedStateMachine):
         self._world: World | None = None
 
     @initialize(site=st.sampled_from(sites.SITES), stored=st.integers(0, 99), announced=st.booleans())
-    def begin(self, site: sites.Site, stored: int, announced: bool) -> None:  # noqa: FBT001  # Hypothesis passes it by name
+    def begin(self, *, site: Site, stored: int, announced: bool) -> None:
         """Start the gateway, and let the biobots be heard."""
         if stored in _STORED:
             self._directory = tempfile.TemporaryDirectory(prefix="gate-history-")
@@ -44,19 +44,19 @@ class GateHistory(RuleBasedStateMachine):
             self._world.hear(node, announces=True)
 
     @rule(number=_numbers, action=_moves, wait=st.sampled_from(sites.WAITS_MS))
-    def move(self, number: int, action: StimulationAction, wait: int) -> None:
+    def move(self, *, number: int, action: StimulationAction, wait: int) -> None:
         """Move a biobot."""
         self.world.order(Order(action=action, node=self._node(number)))
         self.world.wait(wait)
 
     @rule(number=_numbers, wait=st.sampled_from(sites.WAITS_MS), hold_ms=st.sampled_from(sites.HOLDS_MS))
-    def stop(self, number: int, wait: int, hold_ms: int) -> None:
+    def stop(self, *, number: int, wait: int, hold_ms: int) -> None:
         """Stop a biobot."""
         self.world.order(Order(action=StimulationAction.STOP, node=self._node(number), hold_ms=hold_ms))
         self.world.wait(wait)
 
     @rule(wait=st.sampled_from(sites.WAITS_MS))
-    def stop_all(self, wait: int) -> None:
+    def stop_all(self, *, wait: int) -> None:
         """Stop all."""
         self.world.order(Order(action=StimulationAction.STOP_ALL, node=0))
         self.world.wait(wait)
@@ -71,7 +71,7 @@ class GateHistory(RuleBasedStateMachine):
         pulse=st.sampled_from(sites.PULSES),
     )
     def order(
-        self, number: int, action: StimulationAction, ttl_ms: int, late_ms: int, hold_ms: int, commander: str, pulse: PulseRequest | None
+        self, *, number: int, action: StimulationAction, ttl_ms: int, late_ms: int, hold_ms: int, commander: str, pulse: PulseRequest | None
     ) -> None:
         """Give a command with everything to it; number 3 is nobody's."""
         node = 77 if number == 3 else self._node(number)
@@ -79,7 +79,7 @@ class GateHistory(RuleBasedStateMachine):
         self.world.order(order)
 
     @rule(number=_numbers, n=st.integers(1, 12), gap_ms=st.sampled_from(sites.GAPS_MS), stop_after=st.integers(0, 6))
-    def hammer(self, number: int, n: int, gap_ms: int, stop_after: int) -> None:
+    def hammer(self, *, number: int, n: int, gap_ms: int, stop_after: int) -> None:
         """Move a biobot again and again, with a stop between; it is refused when it has had enough."""
         for at in range(n):
             action = StimulationAction.STOP if stop_after and at % 6 == stop_after - 1 else StimulationAction.TURN_LEFT
@@ -87,53 +87,53 @@ class GateHistory(RuleBasedStateMachine):
             self.world.wait(gap_ms)
 
     @rule(back=st.integers(0, 5), action=st.sampled_from((None, None, None, *sites.ACTIONS)))
-    def repeat(self, back: int, action: StimulationAction | None) -> None:
+    def repeat(self, *, back: int, action: StimulationAction | None) -> None:
         """Give an earlier command again, or another one under its id."""
         self.world.repeat(back, action=action)
 
     @rule(ms=st.sampled_from(sites.WAITS_MS))
-    def wait(self, ms: int) -> None:
+    def wait(self, *, ms: int) -> None:
         """Let time pass."""
         self.world.wait(ms)
 
     @rule(ms=st.sampled_from(sites.JUMPS_MS))
-    def jump_wall_clock(self, ms: int) -> None:
+    def jump_wall_clock(self, *, ms: int) -> None:
         """Set the gateway's wall clock."""
         self.world.jump_wall_clock(ms)
 
     @rule(down_ms=st.sampled_from(sites.DOWNS_MS), is_reboot=st.booleans(), wait=st.sampled_from((100, 0, 1_000)))
-    def restart_gateway(self, down_ms: int, is_reboot: bool, wait: int) -> None:  # noqa: FBT001  # Hypothesis passes it by name
+    def restart_gateway(self, *, down_ms: int, is_reboot: bool, wait: int) -> None:
         """Kill the gateway, and start it again."""
         self.world.restart_gateway(down_ms=down_ms, is_reboot=is_reboot)
         self.world.wait(wait)
 
     @rule(number=_numbers)
-    def restart_backpack(self, number: int) -> None:
+    def restart_backpack(self, *, number: int) -> None:
         """Let a backpack lose its memory."""
         self.world.restart_backpack(self._node(number))
 
     @rule(radio=_radios, fates=_fates)
-    def trouble(self, radio: int, fates: list[int]) -> None:
+    def trouble(self, *, radio: int, fates: list[int]) -> None:
         """Let a radio lose, delay, repeat or overtake its next frames and answers."""
         self.world.set_fates(radio % len(self.world.air.radios), tuple(sites.fate(one) for one in fates))
 
     @rule(radio=_radios, is_up=st.booleans())
-    def port(self, radio: int, is_up: bool) -> None:  # noqa: FBT001  # Hypothesis passes it by name
+    def port(self, *, radio: int, is_up: bool) -> None:
         """Let a radio's port be lost or come back."""
         self.world.set_radio(radio % len(self.world.air.radios), is_up=is_up)
 
     @rule(is_full=st.booleans(), commit_ms=st.sampled_from(sites.COMMITS_MS))
-    def disk(self, is_full: bool, commit_ms: int) -> None:  # noqa: FBT001  # Hypothesis passes it by name
+    def disk(self, *, is_full: bool, commit_ms: int) -> None:
         """Let the disk be full, slow or well."""
         self.world.set_disk(is_full=is_full, commit_ms=commit_ms)
 
     @rule(is_there=st.booleans())
-    def commander(self, is_there: bool) -> None:  # noqa: FBT001  # Hypothesis passes it by name
+    def commander(self, *, is_there: bool) -> None:
         """Let a commander come or go."""
         self.world.set_commander(sites.COMMANDERS[1], is_there=is_there)
 
     @rule(number=_numbers, announces=st.booleans())
-    def hear(self, number: int, announces: bool) -> None:  # noqa: FBT001  # Hypothesis passes it by name
+    def hear(self, *, number: int, announces: bool) -> None:
         """Let a biobot be heard, and announce its limits."""
         self.world.hear(self._node(number), announces=announces)
 

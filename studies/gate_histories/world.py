@@ -14,12 +14,12 @@ from firmware_protocol.messages import Capability, Hello, Limits
 from firmware_protocol.units import EVERYBODY, NS_PER_MS, NS_PER_S, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.config import StimulationTable
 from gateway.health import Health
-from gateway.journal_file import JournalWrite
+from gateway.journal_file import AuditEntry, JournalWrite
 from gateway.nodes import Node, NodeBook, NodeMemory
 from gateway.stimulation import StimulationGate
 from studies.gate_histories.air import Air, FrameFate, Radio, Sender
 from studies.gate_histories.calls import CURRENT_CALL, Call, Given, Life
-from studies.gate_histories.disk import AuditEntry, Disk, LiveJournal, Rows
+from studies.gate_histories.disk import Disk, LiveJournal, Rows
 from studies.gate_histories.electrode import Answer, Biobot
 from studies.gate_histories.virtual_time import TrueTime, VirtualLoop
 
