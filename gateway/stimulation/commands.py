@@ -1,7 +1,6 @@
 """The commands that are under way, and the last ones that are not: by their id, and by their number on the wire."""
 
 import asyncio
-import hashlib
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -13,18 +12,8 @@ from gateway.stimulation.ledger import Train
 from gateway.stimulation.outside import Sending, StageListener
 
 _MAX_REMEMBERED = 1024
-_MAX_ID = 64
 
 STOPS = frozenset({StimulationAction.STOP, StimulationAction.STOP_ALL})
-
-
-def derived_id(command_id: str, suffix: str) -> str:
-    """Return the id of a command that the gate itself makes of another one: that one's, and what tells them apart."""
-    derived = f"{command_id}.{suffix}"
-    if len(derived) > _MAX_ID:
-        digest = hashlib.sha256(command_id.encode()).hexdigest()[:16]
-        derived = f"{command_id[: _MAX_ID - 24]}-{digest}.{suffix}"
-    return derived
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -99,13 +88,6 @@ class CommandBook:
     def n_running(self) -> int:
         """How many are under way, stops aside."""
         return len(self._running) - self._n_stops
-
-    def free_key(self, command_id: str) -> str:
-        """Return a key for a stop whose id another command has."""
-        key = command_id
-        while self.find(key) is not None:
-            key += " again"
-        return key
 
     def begin(self, command: Command) -> None:
         """Take a command that is new."""

@@ -12,7 +12,7 @@ from gateway.stimulation import frames
 from gateway.stimulation.admission import remaining_ms
 from gateway.stimulation.answers import AnswerKeeper
 from gateway.stimulation.commands import Command
-from gateway.stimulation.late_frames import LateFrames
+from gateway.stimulation.guards import Guards
 from gateway.stimulation.ledger import TrainLedger
 from gateway.stimulation.outside import CommandSender, Sending
 from gateway.stimulation.pulses import Pulse
@@ -20,7 +20,7 @@ from gateway.stimulation.telling import COMMIT_TIMEOUT_S, StageTeller
 from gateway.stimulation.verdict import Refused
 
 UNWRITTEN_S = 1.0
-"""A frame that was not written to its dongle's line after this, or within its time to live, is taken back: what it asks for is too old."""
+"""A frame that was not written to its dongle's line after this is taken back: what it asks for is too old for an animal."""
 
 _QUEUE_NS = (frames.MAX_QUEUED_MS + 10) * NS_PER_MS
 """How long after its frame a train may begin: what the backpack may have it wait, in ticks of its own clock."""
@@ -51,7 +51,7 @@ class Stimuli:
         ledger: TrainLedger,
         teller: StageTeller,
         answers: AnswerKeeper,
-        late: LateFrames,
+        guards: Guards,
         now_ns: Callable[[], int],
         wall_clock: Callable[[], int],
         journal_fault: Callable[[], str | None],
@@ -62,7 +62,7 @@ class Stimuli:
         self._ledger = ledger
         self._teller = teller
         self._answers = answers
-        self._late = late
+        self._guards = guards
         self._flight = Flight(table=table)
         self._now_ns = now_ns
         self._wall_clock = wall_clock
@@ -72,18 +72,18 @@ class Stimuli:
         """Take an admitted command to its last stage."""
         began_ns, node = self._now_ns(), command.request.node
         until_ns = began_ns + int(COMMIT_TIMEOUT_S * NS_PER_S)
-        # From here on the monotonic clock counts: a wall clock that is set back makes no command younger.
-        expires_ns = began_ns + remaining_ms(command.request, now_wall_ns=self._wall_clock()) * NS_PER_MS
         if pulse.duration_ms:
             # From now on: no other one must be admitted while this one waits for the disk.
             latest_ns = self._flight.latest_ns(now_ns=until_ns)
             command.train = self._ledger.reserve(node, train_ms=pulse.duration_ms, latest_ns=latest_ns, now_ns=began_ns)
         accepted = self._teller.stage(command, Stage.ACCEPTED, deadline_ns=until_ns + self._radio_timeout_ns)
+        left_ms = remaining_ms(command.request, now_wall_ns=self._wall_clock())
         is_on_disk = await self._teller.commit(command, accepted, train_ms=pulse.duration_ms)
         if command.is_final:  # the gateway ends
             self._take_back(command)
             return
-        ttl_ms = min((expires_ns - self._now_ns()) // NS_PER_MS, remaining_ms(command.request, now_wall_ns=self._wall_clock()))
+        # By the monotonic clock: the other one may have been set meanwhile.
+        ttl_ms = left_ms - (self._now_ns() - began_ns) // NS_PER_MS
         refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns, ttl_ms=ttl_ms)
         if refused is None:
             try:
@@ -96,16 +96,16 @@ class Stimuli:
             return
         sent_ns = self._now_ns()
         command.sendings.append(sending)
+        latest_ns = self._flight.latest_ns(now_ns=sent_ns)
         if command.train is not None:
-            command.train.latest_ns = self._flight.latest_ns(now_ns=sent_ns)
-        self._late.add(command, latest_ns=self._flight.latest_ns(now_ns=sent_ns))
+            command.train.latest_ns = latest_ns
+        self._guards.sent(command, until_ns=latest_ns)
         self._teller.announce(command, accepted)
-        await self._follow(command, sending, sent_ns=sent_ns, ttl_ms=ttl_ms)
+        await self._follow(command, sending, sent_ns=sent_ns, unwritten_ns=sent_ns + min(int(UNWRITTEN_S * NS_PER_S), ttl_ms * NS_PER_MS))
 
-    async def _follow(self, command: Command, sending: Sending, *, sent_ns: int, ttl_ms: int) -> None:
-        """Wait for radio and biobot, each until its deadline."""
+    async def _follow(self, command: Command, sending: Sending, *, sent_ns: int, unwritten_ns: int) -> None:
+        """Wait for radio and biobot, each until its deadline; a frame that is not written until ``unwritten_ns`` is taken back."""
         deadline_ns = sent_ns + self._radio_timeout_ns
-        unwritten_ns = sent_ns + min(int(UNWRITTEN_S * NS_PER_S), ttl_ms * NS_PER_MS)
         outcome: RadioOutcome | None = None
         while not command.reply.done() and not command.is_final:
             now_ns = self._now_ns()

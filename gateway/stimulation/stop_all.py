@@ -9,7 +9,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
-from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import Stage, StimulationRequest
 from firmware_protocol.messages import Stimulate
 from firmware_protocol.units import NS_PER_S, NodeId
 from gateway.config import StimulationTable
@@ -19,9 +19,9 @@ from gateway.nodes import NodeBook
 from gateway.radio import Fate
 from gateway.stimulation import frames
 from gateway.stimulation.answers import AnswerKeeper
-from gateway.stimulation.commands import Command, CommandBook, derived_id
-from gateway.stimulation.late_frames import LateFrame
+from gateway.stimulation.commands import Command, CommandBook
 from gateway.stimulation.outside import CommandSender, Sending
+from gateway.stimulation.parts import stop_of
 from gateway.stimulation.pulses import pulse_of
 from gateway.stimulation.stops import Stops
 from gateway.stimulation.telling import StageTeller
@@ -35,6 +35,7 @@ TOGETHER = 8
 PAUSE_S = 0.04
 """Between two such moments: 200 frames a second, about what a ZigBee channel carries of unicasts with their acknowledgements."""
 
+_MADE_TOGETHER = 256
 _SPARE_S = 1.0
 """Beside what the rounds take, until the last stage is told."""
 
@@ -71,25 +72,21 @@ class StopAll:
         """Take a stop of everybody to its last stage."""
         sweep = _Sweep(whole=whole, table=self._table, sender=self._sender, teller=self._teller, answers=self._answers, now_ns=self._now_ns)
         sweep.broadcast()
-        self._stops.overtake(self._book.running())
+        self._stops.overtake(whole)
         sweep.begin(n_known=len(self._nodes))
-        late: dict[Command, list[LateFrame]] = {}
         try:
-            for is_near, request in self._requests(whole):
+            for n_before, (is_near, request) in enumerate(self._requests(whole)):
                 assert whole.wire_command is not None
-                part = Command(request=request, key=self._book.free_key(request.command_id), part_of=whole.request.command_id)
+                if n_before and n_before % _MADE_TOGETHER == 0:
+                    await asyncio.sleep(0)  # others have their turn
+                part = Command(request=request, key=self._free_key(request.command_id), part_of=whole.request.command_id)
                 self._book.begin(part)
                 self._book.number(part, whole.wire_command)
-                late[part] = self._stops.begin(part)
                 sweep.add(part, is_near=is_near)
             await sweep.run()
         finally:
             for part in sweep.parts:
                 self._book.finish(part)
-        async with asyncio.TaskGroup() as tasks:
-            for part, frames_of_part in late.items():
-                if frames_of_part:
-                    tasks.create_task(self._stops.stop_again(part, frames_of_part))
 
     def _requests(self, whole: Command) -> Iterator[tuple[bool, StimulationRequest]]:
         """Yield a stop of each biobot that is known, and whether it is within reach; those under controlled motion first."""
@@ -99,7 +96,13 @@ class StopAll:
             node = self._nodes.find(name)
             if node is not None:
                 is_near = bool(node.last_heard_ns) and node.last_heard_ns >= now_ns - REACHABLE_NS
-                yield is_near or name in controlled, _part_of(whole.request, name)
+                yield is_near or name in controlled, stop_of(whole.request, name, suffix=str(name))
+
+    def _free_key(self, command_id: str) -> str:
+        key = command_id
+        while self._book.find(key) is not None:
+            key += " again"
+        return key
 
 
 class _Sweep:
@@ -151,7 +154,8 @@ class _Sweep:
     async def run(self) -> None:
         """Send and wait, round after round, until all within reach have confirmed."""
         retry_ns = int(self._table.stop_retry_s * NS_PER_S)
-        far = [part for part in self.parts if part not in set(self._within_reach)]
+        near = set(self._within_reach)
+        far = [part for part in self.parts if part not in near]
         for attempt in range(self._table.stop_attempts):
             if attempt:
                 self.broadcast()
@@ -243,18 +247,6 @@ class _Sweep:
             self._teller.tell(self._whole, Stage.UNKNOWN, reason=f"no radio says that it has told everybody; look at the animals{beyond}")
         else:
             self._teller.tell(self._whole, Stage.BIOBOT_CONFIRMED, reason=f"all {n_near} biobots within reach have confirmed{beyond}")
-
-
-def _part_of(whole: StimulationRequest, node: NodeId) -> StimulationRequest:
-    """Return the stop of one biobot that is a part of one of all; its id is the whole's and the biobot's number."""
-    return StimulationRequest(
-        command_id=derived_id(whole.command_id, str(node)),
-        node=node,
-        action=StimulationAction.STOP,
-        operator=whole.operator,
-        issued_wall_ns=whole.issued_wall_ns,
-        ttl_ms=whole.ttl_ms,
-    )
 
 
 def _is_sent(sending: Sending) -> bool:

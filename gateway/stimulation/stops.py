@@ -5,11 +5,9 @@ anew in between, would give it twice. Without a train the backpack makes the ins
 """
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
-import msgspec
-
-from firmware_protocol.contract.commands import Stage
+from firmware_protocol.contract.commands import Stage, StimulationAction
 from firmware_protocol.units import NS_PER_S, NodeId
 from gateway.config import StimulationTable
 from gateway.errors import RadioUnavailableError
@@ -18,9 +16,9 @@ from gateway.journal_file import SENT_AGAIN
 from gateway.nodes import NodeBook
 from gateway.radio import Fate
 from gateway.stimulation import frames
-from gateway.stimulation.answers import AnswerKeeper, is_done
-from gateway.stimulation.commands import Command, CommandBook, derived_id
-from gateway.stimulation.late_frames import LateFrame, LateFrames
+from gateway.stimulation.answers import AnswerKeeper
+from gateway.stimulation.commands import Command, CommandBook
+from gateway.stimulation.guards import Guards
 from gateway.stimulation.ledger import TrainLedger
 from gateway.stimulation.outside import CommandSender
 from gateway.stimulation.pulses import Pulse, pulse_of, pulse_refusal
@@ -44,10 +42,9 @@ class Stops:
         ledger: TrainLedger,
         teller: StageTeller,
         answers: AnswerKeeper,
+        guards: Guards,
         health: Health,
         now_ns: Callable[[], int],
-        late: LateFrames,
-        take_number: Callable[[], int],
         are_trains_allowed: Callable[[], bool],
     ) -> None:
         self._table = table
@@ -57,56 +54,16 @@ class Stops:
         self._ledger = ledger
         self._teller = teller
         self._answers = answers
+        self._guards = guards
         self._health = health
         self._now_ns = now_ns
-        self._late = late
-        self._take_number = take_number
         self._are_trains_allowed = are_trains_allowed
         self._unwritten: dict[NodeId, asyncio.Future[None]] = {}
         """Of each biobot the row of a stop's train that was given to the journal last."""
         self._flight = Flight(table=table)
 
     async def run(self, command: Command) -> None:
-        """Take a stop to its last stage; then stop the biobot again where a frame that was on its way when it came may have moved it."""
-        late = self.begin(command)
-        await self._run(command)
-        await self.stop_again(command, late)
-
-    def begin(self, command: Command) -> list[LateFrame]:
-        """Take note of a stop that is about to be sent; return the frames that may come to its biobot after it."""
-        late = self._late.of(command.request.node)
-        self._late.begin(command)
-        return late
-
-    async def stop_again(self, command: Command, late: list[LateFrame]) -> None:
-        """Stop a biobot once more, by another number, when a frame has come after a stop or may have, unless it was told more since."""
-        if not await self._has_come(late) or not self._late.is_newest(command):
-            return
-        self._health.count("command.stop_after_late_frame")
-        request = msgspec.structs.replace(command.request, command_id=derived_id(command.request.command_id, "again"))
-        again = Command(request=request, key=self._book.free_key(request.command_id), part_of=command.part_of)
-        self._book.begin(again)
-        self._book.number(again, self._take_number())
-        try:
-            await self.run(again)
-        finally:
-            self._book.finish(again)
-
-    async def _has_come(self, late: list[LateFrame]) -> bool:
-        """Wait until one of some frames was obeyed, or until nobody knows whether it was; False: none was."""
-        while late:
-            now_ns = self._now_ns()
-            for frame in late:
-                reply = frame.command.reply
-                if is_done(reply.result()) if reply.done() else now_ns >= frame.latest_ns:
-                    return True
-            late = [frame for frame in late if frame.is_on_its_way(now_ns=now_ns)]
-            if late:
-                rest_s = (min(frame.latest_ns for frame in late) - now_ns) / NS_PER_S
-                await asyncio.wait({frame.command.reply for frame in late}, timeout=rest_s, return_when=asyncio.FIRST_COMPLETED)
-        return False
-
-    async def _run(self, command: Command) -> None:
+        """Take a stop to its last stage."""
         retry_ns, began_ns = int(self._table.stop_retry_s * NS_PER_S), self._now_ns()
         end_ns = began_ns + self._table.stop_attempts * retry_ns
         reason = ""
@@ -115,7 +72,7 @@ class Stops:
                 n_before = len(command.sendings)
                 reason = self._send(command, self._fit_pulse(command) if n_before == 0 else None) or reason
                 if attempt == 0:
-                    self.overtake(self._book.running_of(command.request.node))
+                    self.overtake(command)
                     self._make_room(command)
                 self._tell_sent(command, n_before=n_before, end_ns=end_ns)
                 if await self._await_answer(command, until_ns=began_ns + (attempt + 1) * retry_ns, end_ns=end_ns):
@@ -136,14 +93,15 @@ class Stops:
             written = None
         return self._are_trains_allowed() and written is None
 
-    def overtake(self, commands: Iterable[Command]) -> None:
-        """Keep starts and turns that were not written yet from being sent; those that were go on to their end."""
-        for other in commands:
+    def overtake(self, stop: Command) -> None:
+        """Keep starts and turns of its biobot, or of all, that were not written yet from being sent; those that were are watched."""
+        is_for_all = stop.request.action is StimulationAction.STOP_ALL
+        for other in self._book.running() if is_for_all else self._book.running_of(stop.request.node):
             if other.is_stop or other.is_final:
                 continue
-            unsent = not other.sendings
-            if unsent or (not other.sendings[0].done() and self._sender.withdraw(other.sendings[0])):
+            if not other.sendings or (not other.sendings[0].done() and self._sender.withdraw(other.sendings[0])):
                 other.overtake()
+        self._guards.stopped(stop, None if is_for_all else [stop.request.node])
 
     def _send(self, command: Command, pulse: Pulse | None) -> str:
         """Send it over every radio that may reach the biobot, the first frame with a train where there is one; return why it was not."""
@@ -163,19 +121,19 @@ class Stops:
         return reason
 
     def _tell_sent(self, command: Command, *, n_before: int, end_ns: int) -> None:
-        n_again = len(command.sendings) - n_before
+        """Put on record what was sent just now; the frame with the train, if there is one, was the first of all."""
         train_ms = 0 if command.train is None or n_before else command.train.duration_ms
-        written = None
-        if not command.stages:
-            written = self._teller.tell(command, Stage.ACCEPTED, train_ms=train_ms, deadline_ns=end_ns)
-        else:
+        n_again, written = len(command.sendings) - n_before, None
+        if command.stages:
             self._health.count("command.stop_repeated")
-            if n_again:
-                written = self._teller.note(command, SENT_AGAIN, train_ms=train_ms)
+        else:
+            written = self._teller.tell(command, Stage.ACCEPTED, train_ms=train_ms, deadline_ns=end_ns)
+            n_again -= 1
+        for place in range(n_again):
+            noted = self._teller.note(command, SENT_AGAIN, train_ms=0 if written or place else train_ms)
+            written = written or noted
         if train_ms:
             self._unwritten[command.request.node] = written or asyncio.get_running_loop().create_future()
-        for _ in range(n_again - 1):
-            self._teller.note(command, SENT_AGAIN)
 
     def _fit_pulse(self, command: Command) -> Pulse | None:
         """Return the train that a stop may give now, or None."""

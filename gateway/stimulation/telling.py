@@ -135,7 +135,7 @@ class StageTeller:
     def note(
         self, command: Command, row: str, *, node: NodeId | None = None, train_ms: int = 0, reason: str = ""
     ) -> "asyncio.Future[None] | None":
-        """Write down what is no stage, as ``write`` does; ``node`` is another biobot than the command's."""
+        """Write down what is no stage; ``node`` is another biobot than the command's. Returns what ``tell`` does."""
         return self.write(command, self.stage(command, command.stages[-1].stage, reason=reason), train_ms=train_ms, row=row, node=node)
 
     def announce(self, command: Command, stage: CommandStage) -> None:
