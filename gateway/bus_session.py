@@ -78,9 +78,12 @@ def is_token_seen(key: str, *, connect: Sequence[str], tls: TlsTable, timing: Ze
         return None
     try:
         with open_client(connect=connect, tls=tls, timing=timing) as session:
-            return any(reply.ok is not None for reply in session.liveliness().get(key, timeout=_TOKEN_TIMEOUT_S))
+            replies = list(session.liveliness().get(key, timeout=_TOKEN_TIMEOUT_S))
     except (BusError, zenoh.ZError):
         return None
+    if any(reply.ok is not None for reply in replies):
+        return True
+    return None if replies else False  # an error: nobody has ended the query
 
 
 def first_sentence(error: zenoh.ZError) -> str:

@@ -21,10 +21,12 @@ _log = EventLog(__name__)
 
 Declared: TypeAlias = zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.LivelinessToken
 
-_LOOKS_S: Final = (1.5, 5.0, 15.0)
+_LOOKS_S: Final = (2.0, 6.0, 20.0)
 """So long after a new link it is looked for."""
 
 _AGAIN_S: Final = 2.0
+"""What is not seen is looked for again after this, before it is declared anew: routers need a moment to tell each other."""
+
 _LONGEST_WAIT_S: Final = 3600.0
 
 
@@ -89,13 +91,18 @@ class StandingDeclarations:
             self._wake.notify()
 
     def _run(self) -> None:
+        n_unseen = 0
         while self._wait():
             is_seen = self._is_seen()
-            if is_seen is False:
+            n_unseen = n_unseen + 1 if is_seen is False else 0
+            if n_unseen > 1:
                 self._renew()
             elif is_seen and self._is_told:
                 self._is_told = False
                 _log.info("bus.seen_again")
+            if n_unseen:
+                with self._wake:
+                    self._due_s.appendleft(time.monotonic() + _AGAIN_S)
 
     def _wait(self) -> bool:
         """Wait until it is time to look; False: never again."""
@@ -120,5 +127,3 @@ class StandingDeclarations:
                     self._made[name] = make()
                 except zenoh.ZError as error:
                     _log.warning("bus.undeclared", name=name, reason=str(error))
-        with self._wake:
-            self._due_s.appendleft(time.monotonic() + _AGAIN_S)

@@ -12,7 +12,7 @@ from collections.abc import AsyncGenerator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing, suppress
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import zenoh
 import zenoh.ext
@@ -25,6 +25,7 @@ from firmware_protocol.contract.records import HistoryRequest, RecordBatch, Wate
 from firmware_protocol.contract.sessions import ROUTER, TlsTable, ZenohTable, session_settings
 from firmware_protocol.errors import RecordError
 from mapper.arrivals import Arrival, decode_arrival
+from mapper.bus_standing import StandingDeclarations
 from mapper.errors import BusError, QueryError
 from mapper.log import EventLog
 
@@ -62,13 +63,12 @@ class Bus:
         self._site = site
         self._loop = loop
         self._session: zenoh.Session
-        self._declared: list[Any] = []
+        self._standing: StandingDeclarations
         self._lock = threading.Lock()
         self._inbox: deque[tuple[str, bytes | bool]] = deque()
         self._inbox_bytes = 0
         self._has_arrivals = asyncio.Event()
         self._is_claimed = asyncio.Event()
-        self._token: zenoh.LivelinessToken | None = None
         # Of its own: whatever else waits for Zenoh in the default pool, a stop does not wait for it.
         self._urgent = ThreadPoolExecutor(_URGENT_THREADS, thread_name_prefix="urgent")
 
@@ -93,6 +93,7 @@ class Bus:
         try:
             config = _session_config(connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing)
             bus._session = await asyncio.to_thread(zenoh.open, config)
+            bus._standing = StandingDeclarations(bus._session, connect=connect, tls=tls or TlsTable(), timing=timing)
             await asyncio.to_thread(bus._declare)
         except zenoh.ZError as error:
             raise BusError(
@@ -110,6 +111,10 @@ class Bus:
     def is_connected(self) -> bool:
         """Say whether any gateway or router is connected."""
         return bool(self._session.info.transports())
+
+    async def stay_seen(self) -> None:
+        """Declare anew what a router has lost, until cancelled."""
+        await self._standing.run()
 
     async def claim(self, name: str, *, settle_s: float = _SETTLE_S, patience_s: float = _PATIENCE_S) -> None:
         """Be alive under a name, once somebody is connected and nobody else has been alive under it for ``settle_s`` to twice that.
@@ -144,21 +149,20 @@ class Bus:
             else:
                 free_since, taken_since = free_since or now, None
             await asyncio.sleep(_LOOK_EVERY_S)
-        self._declared.append(await asyncio.to_thread(liveliness.declare_token, key))
+        await asyncio.to_thread(self._standing.declare, "mapper", lambda: liveliness.declare_token(key))
+        self._standing.own = key
         self._is_claimed.set()
 
     async def be_commander(self, name: str) -> None:
         """Hold the token of a commander, once `claim` has made sure that nobody else has that name: it must go when this process does."""
         await self._is_claimed.wait()
         key = build_token_key(site=self._site, kind=Kind.COMMANDER, name=name)
-        self._token = await asyncio.to_thread(self._session.liveliness().declare_token, key)
+        await asyncio.to_thread(self._standing.declare, "commander", lambda: self._session.liveliness().declare_token(key))
 
     async def resign(self) -> None:
         """Give the commander's token back; gateways stop whom it moved."""
-        token, self._token = self._token, None
-        if token is not None:
-            with suppress(zenoh.ZError):
-                await asyncio.to_thread(token.undeclare)
+        with suppress(zenoh.ZError):
+            await asyncio.to_thread(self._standing.undeclare, "commander")
 
     def publish_beat(self, *, commander: str, number: int) -> None:
         """Say that a commander is there. It takes no longer than a millisecond: on a link that takes nothing it is dropped."""
@@ -314,22 +318,15 @@ class Bus:
 
         advanced = [pattern(stream) for stream in _JOURNALED] + [pattern(Stream.STATUS), pattern(Stream.STATUS, node=ANY)]
         for key in advanced:
-            self._declared.append(
-                zenoh.ext.declare_advanced_subscriber(
-                    self._session,
-                    key,
-                    self._on_sample,
-                    history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
-                    recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
-                )
-            )
-        for key in (
+            self._standing.subscribe_advanced(key, self._on_sample)
+        plain = (
             pattern(Stream.NEIGHBOURS, node=ANY),
             pattern(Stream.EVENTS),
             pattern(Stream.STAGES),
             pattern(Stream.STIMULATION, node=ANY),
-        ):
-            self._declared.append(self._session.declare_subscriber(key, self._on_sample))
+        )
+        for key in plain:
+            self._standing.subscribe(key, self._on_sample)
         seen = (
             build_token_key(site=self._site, kind=Kind.GATEWAY, name=ANY),
             build_token_key(site=self._site, kind=Kind.RADIO, name=ANY, radio=ANY),
@@ -337,7 +334,7 @@ class Bus:
             build_token_key(site=self._site, kind=Kind.COMMANDER, name=ANY),
         )
         for key in seen:
-            self._declared.append(self._session.liveliness().declare_subscriber(key, self._on_presence, history=True))
+            self._standing.subscribe_tokens(key, self._on_presence)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
