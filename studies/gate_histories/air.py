@@ -1,20 +1,21 @@
 """Radios of the histories: dongles that take, lose, delay, repeat and overtake frames, and bring the biobots' answers or do not.
 
 What is taken for granted of them, and no more: a frame that a dongle was given reaches a biobot within ``flight_s`` or never; one that the
-dongle says it did not send never does; the copies of one frame come to one start of a backpack; a frame that was withdrawn, or was not
-given to the dongle within ``radio_timeout_s``, or whose gateway was killed before, never leaves. Frames pass each other freely.
+dongle says it did not send never does, and one of which it says that the biobot's radio has acknowledged it came before; the copies of one
+frame come to one start of a backpack; a frame that was withdrawn, or was not given to the dongle within ``radio_timeout_s``, or whose
+gateway was killed before, never leaves. Frames pass each other freely.
 """
 
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from firmware_protocol.messages import Stimulate
+from firmware_protocol.messages import Action, Stimulate
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
 from gateway.errors import RadioUnavailableError
 from gateway.nodes import NodeBook
 from gateway.radio import Fate, RadioOutcome
-from studies.gate_histories.calls import CURRENT_CALL, Call, Life
+from studies.gate_histories.calls import CURRENT_CALL, STOPS, Call, Life
 from studies.gate_histories.electrode import Answer, Biobots
 from studies.gate_histories.virtual_time import TrueTime
 
@@ -37,7 +38,7 @@ class FrameFate:
     n_copies
         0: it is lost.
     confirm
-        What the dongle says of it, after ``confirm_ms``.
+        What the dongle says of it, after ``confirm_ms``; that it was sent, so long after the biobot's radio has acknowledged it.
     answer_ms, n_lost_answers
         How long the answer takes, and how many of its repetitions are lost before.
     """
@@ -56,7 +57,7 @@ GOOD = FrameFate()
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class Frame:
-    """A frame that the gate gave to a radio; ``node`` None: to all; ``call`` None: on nobody's behalf."""
+    """A frame that the gate gave to a radio; ``node`` None: to all; ``call`` None: a stop by the gate itself."""
 
     node: NodeId | None
     radio: str
@@ -107,11 +108,14 @@ class Air:
 
     def send(self, message: Stimulate, *, life: Life, node: NodeId | None, radio: str, is_urgent: bool) -> "asyncio.Future[RadioOutcome]":
         """Take a frame for a radio that is up."""
+        call = CURRENT_CALL.get()
+        if call is not None and message.action is Action.STOP and call.request.action not in STOPS:
+            call = None  # the gate stops by itself whom an older command has moved after a stop
         frame = Frame(
             node=node,
             radio=radio,
             message=message,
-            call=CURRENT_CALL.get(),
+            call=call,
             life=life,
             sent_ns=self._true_time.now_ns,
             future=asyncio.get_running_loop().create_future(),
@@ -159,14 +163,16 @@ class Air:
         if frame.is_withdrawn or frame.life.is_over or not self.radios[frame.radio].is_up:
             return
         frame.written_ns = self._true_time.now_ns
-        self._true_time.after(fate.confirm_ms * NS_PER_MS, lambda: frame.settle(fate.confirm, "as the dongle says"))
+        flight_ns = int(fate.flight * self._flight_ns)
+        confirm_ns = fate.confirm_ms * NS_PER_MS + (flight_ns if fate.confirm is Fate.SENT else 0)
+        self._true_time.after(confirm_ns, lambda: frame.settle(fate.confirm, "as the dongle says"))
         if fate.confirm is Fate.NOT_SENT:
             return
         hears = self.radios[frame.radio].hears
         for node in [one for one in self.biobots if one in hears and frame.node in {None, one}]:
             boots: list[int] = []
             for copy in range(fate.n_copies):
-                delay_ns = min(int(fate.flight * self._flight_ns) + copy * _COPY_AFTER_NS, self._flight_ns)
+                delay_ns = min(flight_ns + copy * _COPY_AFTER_NS, self._flight_ns)
                 self._true_time.after(delay_ns, lambda node=node, boots=boots: self._land(frame, fate, node=node, boots=boots))  # type: ignore[misc]
 
     def _land(self, frame: Frame, fate: FrameFate, *, node: NodeId, boots: list[int]) -> None:

@@ -3,7 +3,7 @@
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 
-from firmware_protocol.contract.commands import CommandStage, StimulationRequest
+from firmware_protocol.contract.commands import CommandStage, StimulationAction, StimulationRequest
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -62,6 +62,8 @@ class Call:
         """The newest stage."""
         return self.stages[-1][1] if self.stages else None
 
+
+STOPS = frozenset({StimulationAction.STOP, StimulationAction.STOP_ALL})
 
 CURRENT_CALL: ContextVar[Call | None] = ContextVar("CURRENT_CALL", default=None)
 """The call on whose behalf the gate acts: tasks that it begins inherit it. None: on nobody's."""

@@ -12,7 +12,7 @@ from firmware_protocol.messages import OWN_CHANNEL, Action, Limits, Stimulate, W
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
 from gateway.config import StimulationTable
 from studies.gate_histories.air import Frame
-from studies.gate_histories.calls import Call
+from studies.gate_histories.calls import STOPS, Call
 from studies.gate_histories.electrode import Actuation
 from studies.gate_histories.world import World
 
@@ -24,8 +24,6 @@ _UNWRITTEN_S = 1.0
 """So long a frame may wait in the gateway for its dongle, before it is taken back."""
 
 _SOON_NS = 2 * NS_PER_S
-
-_STOPS = frozenset({StimulationAction.STOP, StimulationAction.STOP_ALL})
 
 
 def violations(world: World) -> list[str]:
@@ -89,7 +87,7 @@ def _unfit(table: StimulationTable, limits: Limits | None, train: Stimulate | No
 
 def _orders(world: World, node: NodeId, log: list[Actuation]) -> Iterator[str]:
     """Who may move an insect, how often and until when."""
-    frames = {frame.message.command: frame for frame in world.air.frames if frame.call is not None}
+    frames = {frame.message.command: frame for frame in world.air.frames}
     executed: Counter[tuple[str, StimulationAction]] = Counter()
     moves: list[tuple[int, Call]] = []
     flight_ns = int(world.site.table.flight_s * NS_PER_S)
@@ -98,14 +96,15 @@ def _orders(world: World, node: NodeId, log: list[Actuation]) -> Iterator[str]:
             continue
         frame = frames.get(one.command)
         call = None if frame is None else frame.call
-        if call is None or frame is None:
-            yield f"nobody's: {_said(one)}"
+        if call is None:
+            if frame is None or one.action is not Action.STOP or one.train is not None:
+                yield f"nobody's: {_said(one)}"
             continue
         request = call.request
         if one.train is not None or one.action is not Action.STOP:
             executed[request.command_id, request.action] += 1
         if one.action is Action.STOP:
-            if request.action not in _STOPS:
+            if request.action not in STOPS:
                 yield f"made a stop: {_said(one)} of {_named(call)}"
             continue
         moves.append((one.begin_ns, call))
@@ -113,7 +112,7 @@ def _orders(world: World, node: NodeId, log: list[Actuation]) -> Iterator[str]:
     for (name, action), n in executed.items():
         # A stop that is asked for anew may be obeyed anew.
         n_asked = sum((call.request.command_id, call.request.action) == (name, action) for call in world.calls)
-        if n > (n_asked if action in _STOPS else 1):
+        if n > (n_asked if action in STOPS else 1):
             yield f"twice: {action.value} {name} was executed {n} times on biobot {node}"
     yield from _after_stops(world, node, log, moves)
 
@@ -163,7 +162,7 @@ def _is_stopped_again(world: World, node: NodeId, moved_ns: int, *, stop: Call) 
     return any(
         frame.node == node and frame.message.action is Action.STOP and moved_ns <= frame.sent_ns <= by_ns for frame in world.air.frames
     ) or any(
-        call.number > stop.number and call.request.node == node and call.request.action not in _STOPS and call.given_ns <= by_ns
+        call.number > stop.number and call.request.node == node and call.request.action not in STOPS and call.given_ns <= by_ns
         for call in world.calls
     )
 
@@ -179,7 +178,9 @@ def _frames(world: World) -> Iterator[str]:
     for frame in world.air.frames:
         call, message = frame.call, frame.message
         if call is None:
-            yield f"nobody's frame: {message}"
+            of_wire[message.command].add("the gate's own")
+            if message.action is not Action.STOP or message.duration_ms:
+                yield f"nobody's frame: {message}"
             continue
         of_wire[message.command].add(call.request.command_id)
         trains[message.command, frame.node] += message.duration_ms > 0
@@ -250,7 +251,7 @@ def _answers(world: World, call: Call) -> Iterator[str]:
     final = finals[0] if finals else None
     if final is None or final.stage is not Stage.REFUSED:
         return
-    if call.given is not None and call.given.is_known and call.request.action in _STOPS:
+    if call.given is not None and call.given.is_known and call.request.action in STOPS:
         yield f"a refused stop: {_named(call)}: {final.reason}"
     if final.refusal is None:
         yield f"no reason for programs: {_named(call)}: {final.reason}"

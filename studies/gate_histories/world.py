@@ -25,6 +25,7 @@ from studies.gate_histories.virtual_time import TrueTime, VirtualLoop
 
 _GATEWAY = "g"
 _FIRST_WALL_NS = 1_700_000_000 * NS_PER_S
+_ODD = 0x9E3779B1
 _STRENGTH = RssiDbm(-50)
 _HEARD_AFTER_NS = 20 * NS_PER_MS
 """A biobot answers the gateway's first question so long after its start, where a radio is up."""
@@ -105,6 +106,7 @@ class World:
         }
         self.air.hear = self._hear
         self._n_ids = 0
+        self._n_drawn = 0
         self._machine_boot_ns = -20 * NS_PER_S
         self._n_machine_boots = 1
         self._running = self._begin_life()
@@ -250,7 +252,7 @@ class World:
                 instant_of=opened.identity.instant_of,
                 radio_timeout_s=self.site.radio_timeout_s,
                 now_ns=now_ns,
-                new_number=lambda: life.number * 0x9E3779B1 % (1 << 31),
+                new_number=self._draw_number,
                 is_commander_there=self.commanders.__contains__,
             )
 
@@ -258,6 +260,11 @@ class World:
         for node in self.biobots:
             self.time.after(_HEARD_AFTER_NS, lambda node=node: None if life.is_over else self.hear(node))  # type: ignore[misc]
         return running
+
+    def _draw_number(self) -> int:
+        """Return a number of 31 bits that was not drawn before."""
+        self._n_drawn += 1
+        return self._n_drawn * _ODD % (1 << 31)
 
     def _end_life(self) -> None:
         running = self._running

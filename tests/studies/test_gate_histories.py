@@ -180,11 +180,12 @@ def test_a_wall_clock_that_is_set_back_while_the_disk_is_slow_makes_no_command_y
     assert _kinds(world) == set()
 
 
+@pytest.mark.parametrize("confirm", [Fate.SENT, Fate.NO_ACK, Fate.UNKNOWN])
 @pytest.mark.parametrize("n_lost_answers", [0, 3])
-def test_an_insect_that_an_older_frame_moves_after_a_stop_is_stopped_again(n_lost_answers: int) -> None:
+def test_an_insect_that_an_older_frame_moves_after_a_stop_is_stopped_again(n_lost_answers: int, confirm: Fate) -> None:
     """Frames pass each other: a dongle may try for seconds to deliver a start, and deliver the stop that follows at once."""
     world = _world(flight_s=3.0)
-    world.set_fates(0, (FrameFate(flight=0.9, n_lost_answers=n_lost_answers),))
+    world.set_fates(0, (FrameFate(flight=0.9, n_lost_answers=n_lost_answers, confirm=confirm),))
     world.order(Order(action=StimulationAction.START, node=1))
     world.wait(100)
     world.set_fates(0, (FrameFate(),))
