@@ -51,7 +51,9 @@ def random_messages(seed: int, *, n: int, has_beacons: bool) -> Iterator[RadioMe
             source=ShortAddress(0x1000 + backpack.node),
             rssi_dbm=RssiDbm(-draw.randrange(30, 90)),
             lqi=draw.randrange(256),
-            payload=encode_uplink(header, _message(draw, backpack.node, sent_ms=sent_ms, is_first=backpack.sequence == 1, beacons=has_beacons)),
+            payload=encode_uplink(
+                header, _message(draw, backpack.node, sent_ms=sent_ms, is_first=backpack.sequence == 1, beacons=has_beacons)
+            ),
             received_ns=now_ns + draw.randrange(1, 30) * NS_PER_MS,
         )
         if draw.random() < 0.08:
