@@ -22,11 +22,11 @@ from gateway.journal_file.blobs import (
     REPORTS_COMPRESSED,
     checksum,
     compress,
+    join_records,
     pack_pairs,
     pack_records,
     pack_report,
     pair_key,
-    unpack_records,
 )
 from gateway.journal_file.writes import AuditEntry, JournalWrite, UplinkReport
 
@@ -150,7 +150,7 @@ class SegmentBuilder:
             )
             for one in self._audits
         ]
-        contents = _store(self.bodies, pack_pairs(self._pairs), b"".join(self._reports))
+        contents = _store(pack_records(self.bodies) if self.bodies else b"", pack_pairs(self._pairs), b"".join(self._reports))
         has_encounters = self._max_end >= self._min_start
         return SealedSegment(
             segment=segment,
@@ -230,12 +230,14 @@ def join_contents(parts: Sequence[tuple[bytes, bytes, bytes]]) -> Contents:
     DamagedSegmentError
         The records of one cannot be told apart.
     """
-    bodies = [body for _, records, _ in parts if records for body in unpack_records(records)]
-    return _store(bodies, b"".join(pairs for pairs, _, _ in parts), b"".join(reports for _, _, reports in parts))
+    records = [records for _, records, _ in parts if records]
+    return _store(
+        join_records(records) if records else b"", b"".join(pairs for pairs, _, _ in parts), b"".join(reports for _, _, reports in parts)
+    )
 
 
-def _store(bodies: list[bytes], packed_pairs: bytes, reports: bytes) -> Contents:
-    stored_records, is_compressed = compress(pack_records(bodies) if bodies else b"")
+def _store(packed_records: bytes, packed_pairs: bytes, reports: bytes) -> Contents:
+    stored_records, is_compressed = compress(packed_records)
     stored_reports, are_compressed = compress(reports)
     encoding = (RECORDS_COMPRESSED if is_compressed else 0) | (REPORTS_COMPRESSED if are_compressed else 0)
     crc = checksum(packed_pairs, stored_records, stored_reports)
