@@ -31,6 +31,7 @@ from typing import TypeAlias
 from msgspec import Struct
 
 from firmware_protocol.errors import LinkFullError
+from firmware_protocol.link_queue import LinkQueue
 
 LINK_VERSION = 1
 """Newest version of the link that this code speaks (§3.5)."""
@@ -137,14 +138,10 @@ class Link:
     version: int = LINK_VERSION
     """Of the session: the newest that both ends speak (§3.5)."""
     n_ignored: int = 0
-    """Frames that were not of this session or not understood."""
-    n_repeated: int = 0
-    """DATA frames sent more than once."""
+    """Frames not of this session or not understood."""
     _session: int = 0
     _frames: list[bytes] = field(default_factory=list)
-    _unsent: deque[tuple[int, bytes, bool]] = field(default_factory=deque)
-    """Ticket, payload, whether it is urgent."""
-    _in_flight: deque[tuple[int, bytes, bool]] = field(default_factory=deque)
+    _outgoing: LinkQueue = field(init=False)
     _next_ticket: int = 1
     _first_unacknowledged: int = 0
     _next_expected: int = 0
@@ -163,9 +160,12 @@ class Link:
     _n_repeating: int = 0
     """How many payloads must be acknowledged before an acknowledgement that says nothing new says that something was lost."""
 
+    def __post_init__(self) -> None:
+        self._outgoing = LinkQueue(window=self.config.window, urgent_window=self.config.urgent_window)
+
     def open(self, *, session: int, now_ns: int) -> list[LinkEvent]:
         """Begin a session under a number the last one did not have (initiator only); RESET is repeated until answered."""
-        dropped = self._forget_outgoing()
+        dropped = self._outgoing.drop_all()
         was_up = self.state is not LinkState.CLOSED
         self._begin(session)
         self.state = LinkState.OPENING
@@ -176,7 +176,12 @@ class Link:
     @property
     def n_free(self) -> int:
         """How many more payloads ``send`` takes now."""
-        return self.config.max_queue - len(self._unsent) - len(self._in_flight)
+        return self.config.max_queue - len(self._outgoing)
+
+    @property
+    def n_repeated(self) -> int:
+        """DATA frames sent more than once."""
+        return self._outgoing.n_repeated
 
     def send(self, payload: bytes, *, now_ns: int, is_urgent: bool = False) -> int:
         """Queue a payload and return its ticket; an urgent one goes ahead of all that has not been sent.
@@ -195,17 +200,19 @@ class Link:
             raise LinkFullError(limit=self.config.max_queue)
         ticket = self._next_ticket
         self._next_ticket += 1
-        (self._unsent.appendleft if is_urgent else self._unsent.append)((ticket, payload, is_urgent))
+        self._outgoing.add((ticket, payload), is_urgent=is_urgent)
         self._fill_window(now_ns)
         return ticket
 
     def cancel(self, ticket: int) -> bool:
-        """Take back a payload that was not sent yet; return whether it was not."""
-        for entry in self._unsent:
-            if entry[0] == ticket:
-                self._unsent.remove(entry)
-                return True
-        return False
+        """Take back a payload that was not handed out yet; return whether it was not."""
+        if not self._outgoing.cancel(ticket):
+            return False
+        if self.state is LinkState.OPEN:
+            self._outgoing.fill_window()
+        if not self._outgoing.n_in_window:
+            self._retransmit_at_ns = None
+        return True
 
     def confirm(self, receipt: int) -> None:
         """Acknowledge to the peer all payloads up to and including ``receipt``. Receipts of past sessions are ignored."""
@@ -246,9 +253,13 @@ class Link:
             self.n_ignored += 1
         return []
 
-    def take_frames(self) -> list[bytes]:
-        """Return the frame bodies to put on the line, in order; each is handed out once."""
-        frames, self._frames = self._frames, []
+    def take_frames(self, *, at_most: int | None = None) -> list[bytes]:
+        """Return the frame bodies to put on the line, in order, all or so many; payloads get their numbers here."""
+        limit = len(self._frames) + self._outgoing.n_in_window if at_most is None else at_most
+        frames, self._frames = self._frames[:limit], self._frames[limit:]
+        while self.state is LinkState.OPEN and len(frames) < limit and (taken := self._outgoing.take()) is not None:
+            index, payload = taken
+            frames.append(_HEADER.pack(_Kind.DATA, self._session, (self._first_unacknowledged + index) % 256) + payload)
         return frames
 
     def next_deadline_ns(self) -> int | None:
@@ -301,8 +312,7 @@ class Link:
         if self.state is LinkState.OPEN and session == self._session:
             self._push(_Kind.RESET_ACK, 0, bytes([self.version]))  # our answer was lost; the session has begun and goes on
             return []
-        self._unsent.extendleft(reversed(self._in_flight))
-        self._in_flight.clear()
+        self._outgoing.start_anew()
         self._begin(session)
         self.version = min(newest, LINK_VERSION)
         self._push(_Kind.RESET_ACK, 0, bytes([self.version]))
@@ -341,36 +351,31 @@ class Link:
 
     def _take_ack(self, sequence: int, now_ns: int) -> list[LinkEvent]:
         n_acknowledged = (sequence - self._first_unacknowledged) % 256
-        if n_acknowledged > len(self._in_flight):
+        if n_acknowledged > self._outgoing.n_numbered:
             self.n_ignored += 1
             return []
-        events: list[LinkEvent] = [PayloadConfirmed(ticket=self._in_flight.popleft()[0]) for _ in range(n_acknowledged)]
+        events: list[LinkEvent] = [PayloadConfirmed(ticket=ticket) for ticket in self._outgoing.acknowledge(n_acknowledged)]
         if n_acknowledged:
             self._n_fruitless = 0
             self._n_repeating = max(0, self._n_repeating - n_acknowledged)
             self._first_unacknowledged = sequence
             self._retransmit_ns = self.config.retransmit_ns
-            self._retransmit_at_ns = now_ns + self._retransmit_ns if self._in_flight else None
+            self._retransmit_at_ns = now_ns + self._retransmit_ns if self._outgoing.n_in_window else None
             self._fill_window(now_ns)
-        elif self._in_flight and not self._n_repeating:
+        elif self._outgoing.n_numbered and not self._n_repeating:
             self._repeat_window(now_ns)
         return events
 
     def _fill_window(self, now_ns: int) -> None:
         if self.state is not LinkState.OPEN:
             return
-        while self._unsent and len(self._in_flight) < (self.config.urgent_window if self._unsent[0][2] else self.config.window):
-            entry = self._unsent.popleft()
-            self._push(_Kind.DATA, (self._first_unacknowledged + len(self._in_flight)) % 256, entry[1])
-            self._in_flight.append(entry)
-            if self._retransmit_at_ns is None:
-                self._retransmit_at_ns = now_ns + self._retransmit_ns
+        self._outgoing.fill_window()
+        if self._outgoing.n_in_window and self._retransmit_at_ns is None:
+            self._retransmit_at_ns = now_ns + self._retransmit_ns
 
     def _repeat_window(self, now_ns: int) -> None:
-        for index, (_, payload, _) in enumerate(self._in_flight):
-            self._push(_Kind.DATA, (self._first_unacknowledged + index) % 256, payload)
-            self.n_repeated += 1
-        self._n_repeating = len(self._in_flight) + 1  # and one that was not sent before
+        self._outgoing.repeat()
+        self._n_repeating = self._outgoing.n_numbered + 1  # and one that was not sent before
         self._retransmit_at_ns = now_ns + self._retransmit_ns
 
     def _is_fruitless(self) -> bool:
@@ -380,18 +385,12 @@ class Link:
         self._newest_at_repetition = self._next_receipt - 1
         return self._n_fruitless > self.config.max_fruitless_retries
 
-    def _forget_outgoing(self) -> tuple[int, ...]:
-        dropped = tuple(entry[0] for entry in (*self._in_flight, *self._unsent))
-        self._in_flight.clear()
-        self._unsent.clear()
-        return dropped
-
     def _lose(self, reason: LostReason) -> list[LinkEvent]:
         self.state = LinkState.CLOSED
         self._frames.clear()
         self._receipts.clear()
         self._retransmit_at_ns = self._reset_at_ns = self._ping_at_ns = None
-        dropped = self._forget_outgoing() if self.role is Role.INITIATOR else ()
+        dropped = self._outgoing.drop_all() if self.role is Role.INITIATOR else ()
         return [LinkLost(reason=reason, dropped=dropped)]
 
 

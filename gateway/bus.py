@@ -1,16 +1,14 @@
 """Everything the gateway says and hears on Zenoh (CONTRACT.md).
 
-Zenoh calls back on threads of its own: callbacks only append to a bounded queue and wake the loop once. Puts come from one
-thread, so a subscriber that is stuck blocks that thread alone; what overflows its queue is dropped and counted, since the journal
-has it and readers fill gaps from the history. Answers to commands and history queries have threads of their own.
+Zenoh calls back on threads of its own: the doors beside this file (``bus_commands``, ``bus_history``, ``bus_presence``) only keep what
+comes in bounded queues and wake the loop once. Puts come from one thread, so a subscriber that is stuck blocks that thread alone; what
+overflows its queue is dropped and counted, since the journal has it and readers fill gaps from the history.
 """
 
 import asyncio
 import queue
-import sqlite3
 import threading
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Self
@@ -19,23 +17,23 @@ import zenoh
 import zenoh.ext
 
 from firmware_protocol.contract.access import Role, access_control
-from firmware_protocol.contract.commands import CommandStage, StimulationAction, StimulationRequest
-from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
+from firmware_protocol.contract.commands import CommandStage, StimulationAccount
+from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.presence import Kind, build_token_key
 from firmware_protocol.contract.records import (
     EncodedBatch,
     GatewayEvent,
     GatewayStatus,
-    HistoryRequest,
     NeighbourReport,
     NodeStatus,
     Struct,
-    Watermark,
-    decode_record,
     encode_record,
 )
-from firmware_protocol.errors import KeyExpressionError, RecordError
-from gateway.bus_session import ConnectionWatch, open_service
+from gateway.bus_commands import CommandDoor, CommandTaker, OrderDoor, OrderTaker, TurnedAwayListener
+from gateway.bus_history import HistoryDoor
+from gateway.bus_presence import CommanderDoor, CommanderListener, WatermarkDoor
+from gateway.bus_session import ConnectionWatch
+from gateway.bus_standing import ServiceSession, StandingDeclarations
 from gateway.config import GatewayConfig
 from gateway.errors import BusError
 from gateway.health import Health
@@ -56,40 +54,13 @@ _HEARTBEAT_S = 0.5
 _CLOSE_S = 2.0
 """For what waits for the put thread when the bus is closed."""
 
-_MAX_COMMANDS = 256
-_MAX_STOPS = 4096
-"""Commands that may wait when the next one is a STOP: it passes where any other is refused."""
-
-_MAX_HISTORY_QUERIES = 16
-_MAX_WATERMARKS = 64
 _NAME_CHECK_S = 1.5
-
-
-class CommandAnswer:
-    """Where the stages of one command go; may be called from the loop only."""
-
-    def __init__(self, *, query: zenoh.Query, key: str, executor: ThreadPoolExecutor) -> None:
-        self._query = query
-        self._key = key
-        self._executor = executor
-
-    def tell(self, stage: CommandStage) -> None:
-        """Reply with a stage; the final one ends the query."""
-        self._executor.submit(self._reply, stage)
-
-    def _reply(self, stage: CommandStage) -> None:
-        try:
-            self._query.reply(self._key, encode_record(stage))
-            if stage.is_final:
-                self._query.drop()  # type: ignore[no-untyped-call]  # zenoh's stub has no annotation
-        except zenoh.ZError as error:
-            _log.warning("bus.reply_lost", command=stage.command_id, stage=stage.stage.value, reason=str(error))
 
 
 class Bus:
     """An open Zenoh session of a gateway."""
 
-    def __init__(self, *, session: zenoh.Session, watch: ConnectionWatch, site: str, gateway: str, health: Health) -> None:
+    def __init__(self, *, session: ServiceSession, watch: ConnectionWatch, site: str, gateway: str, health: Health) -> None:
         self._session = session
         self._watch = watch
         self._site = site
@@ -97,24 +68,11 @@ class Bus:
         self._health = health
         self._puts: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()  # a third of the cost of a Queue
         self._answers = ThreadPoolExecutor(max_workers=1, thread_name_prefix="answers")
-        self._history = ThreadPoolExecutor(max_workers=1, thread_name_prefix="history")
-        self._n_history = threading.BoundedSemaphore(_MAX_HISTORY_QUERIES)
-        self._lock = threading.Lock()
-        self._commands: deque[tuple[StimulationRequest, CommandAnswer]] = deque()
-        self._watermarks: dict[str, int] = {}
-        self._declared: list[zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.LivelinessToken] = []
-        self._radios: dict[str, zenoh.LivelinessToken] = {}
-        self._publishers = {
-            stream: zenoh.ext.declare_advanced_publisher(
-                session,
-                self._key(stream),
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                cache=zenoh.ext.CacheConfig(_CACHE),
-                sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=_HEARTBEAT_S, sporadic_heartbeat=None),
-                publisher_detection=True,
-            )
-            for stream in (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
-        }
+        self._history: HistoryDoor | None = None
+        self._commands: CommandDoor | None = None
+        self._standing = StandingDeclarations(session)
+        self._publishers: dict[Stream, zenoh.ext.AdvancedPublisher] = {}
+        session.when_open(self._declare_publishers)
         self._thread = threading.Thread(target=self._run_puts, name="puts", daemon=True)
         self._thread.start()
 
@@ -133,51 +91,78 @@ class Bus:
         if report.problems or problems:
             raise BusError("; ".join((*report.problems, *problems)))
         access = None if config.roster is None else access_control(members)
-        session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, timing=config.zenoh, access=access)
+        session = ServiceSession(listen=config.listen, connect=config.connect, tls=config.tls, timing=config.zenoh, access=access)
         if config.connect and _is_taken(session, build_key(site=config.site, stream=Stream.ALIVE, gateway=config.name)):
-            session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+            session.close()
             raise BusError(f"a gateway named {config.name!r} is alive at site {config.site!r} already; give this one another --name")
-        watch = ConnectionWatch(session, connect=config.connect, tls=config.tls, facts=report.facts, health=health)
+        watch = ConnectionWatch(n_links=session.n_links, connect=config.connect, tls=config.tls, facts=report.facts, health=health)
         return cls(session=session, watch=watch, site=config.site, gateway=config.name, health=health)
 
     def n_links(self) -> int:
         """Return how many other sessions are connected now."""
-        return len(self._session.info.transports())
+        return self._session.n_links()
 
     def start(
         self,
         *,
-        on_command: Callable[[StimulationRequest, CommandAnswer], None],
+        on_command: CommandTaker,
         open_reader: Callable[[], JournalReader],
         journal: str,
+        on_turned_away: TurnedAwayListener | None = None,
+        on_order: OrderTaker | None = None,
+        commanders: CommanderListener | None = None,
         on_watermark: Callable[[str, int], None] | None = None,
         on_damage: Callable[[Damage], None] | None = None,
     ) -> None:
-        """Answer queries from now on, and be alive to others. All that is given is called in the running loop, but for ``open_reader``."""
-        loop = asyncio.get_running_loop()
-        command_key, history_key = self._key(Stream.COMMAND), self._key(Stream.HISTORY)
+        """Answer queries from now on, and be alive to others.
 
-        def take_command(query: zenoh.Query) -> None:
-            self._take_command(query, key=command_key, loop=loop, on_command=on_command)
-
-        def take_history(query: zenoh.Query) -> None:
-            self._take_history(query, key=history_key, answer=answer_history)
+        All that is given is called in the running loop, but for ``open_reader`` and ``on_turned_away``.
+        """
+        loop, health, standing = asyncio.get_running_loop(), self._health, self._standing
 
         def tell_damage(damage: Damage) -> None:
             if on_damage is not None:
                 loop.call_soon_threadsafe(on_damage, damage)
 
-        answer_history = partial(history_batches, open_reader=open_reader, gateway=self._gateway, journal=journal, on_damage=tell_damage)
+        if commanders is not None:
+            door = CommanderDoor(loop=loop, health=health, listener=commanders)
+            beats = build_key(site=self._site, stream=Stream.BEAT, gateway=ANY)
+            tokens = build_token_key(site=self._site, kind=Kind.COMMANDER, name=ANY)
+            standing.declare("beats", lambda session: session.declare_subscriber(beats, door.take_beat))
 
-        def take_watermark(sample: zenoh.Sample) -> None:
-            if on_watermark is not None:
-                self._take_watermark(sample, loop=loop, journal=journal, on_watermark=on_watermark)
+            def watch_tokens(session: zenoh.Session) -> zenoh.Subscriber[None]:
+                door.begin_anew()
+                return session.liveliness().declare_subscriber(tokens, door.take_token, history=True)
 
-        watermarks = build_key(site=self._site, stream=Stream.WATERMARK, gateway=self._gateway, mapper=ANY)
-        self._declared.append(self._session.declare_subscriber(watermarks, take_watermark))
-        self._declared.append(self._session.declare_queryable(command_key, take_command))
-        self._declared.append(self._session.declare_queryable(history_key, take_history))
-        self._declared.append(self._session.liveliness().declare_token(self._key(Stream.ALIVE)))
+            standing.declare("commanders", watch_tokens)
+        if on_watermark is not None:
+            marks = WatermarkDoor(loop=loop, journal=journal, health=health, on_watermark=on_watermark)
+            watermarks = build_key(site=self._site, stream=Stream.WATERMARK, gateway=self._gateway, mapper=ANY)
+            standing.declare("watermarks", lambda session: session.declare_subscriber(watermarks, marks.take))
+        answer = partial(history_batches, open_reader=open_reader, gateway=self._gateway, journal=journal, on_damage=tell_damage)
+        command_key, order_key, history_key = map(self._key, (Stream.COMMAND, Stream.ORDERS, Stream.HISTORY))
+        history = self._history = HistoryDoor(key=history_key, health=health, answer=answer)
+        commands = self._commands = CommandDoor(
+            loop=loop,
+            key=command_key,
+            executor=self._answers,
+            health=health,
+            on_command=on_command,
+            on_turned_away=on_turned_away,
+        )
+        standing.declare("command", lambda session: session.declare_queryable(command_key, commands.take))
+        if on_order is not None:
+            first = commands.hand_over_stops
+            orders = OrderDoor(loop=loop, key=order_key, executor=self._answers, health=health, on_order=on_order, before=first)
+            standing.declare("orders", lambda session: session.declare_queryable(order_key, orders.take))
+        standing.declare("history", lambda session: session.declare_queryable(history_key, history.take))
+        alive = self._key(Stream.ALIVE)
+        standing.declare("alive", lambda session: session.liveliness().declare_token(alive))
+
+    @property
+    def n_waiting(self) -> int:
+        """Return how many commands have come in that the loop has not taken yet."""
+        return 0 if self._commands is None else len(self._commands)
 
     @property
     def missing(self) -> str | None:
@@ -191,8 +176,10 @@ class Bus:
     def publish_records(self, committed: Committed) -> None:
         """Publish records that are on disk, as they lie there: batches of one kind each."""
         for stream, batch in batches_of(committed, gateway=self._gateway):
-            publisher = self._publishers[stream]
-            self._queue_put(lambda publisher=publisher, batch=batch: publisher.put(encode_record(batch)))  # type: ignore[misc]
+            publisher = self._publishers.get(stream)
+            if publisher is None:
+                return  # nobody was ever there: whoever comes asks the history
+            self._queue_put(partial(_put_batch, publisher, batch))
 
     def publish_gateway_status(self, status: GatewayStatus) -> None:
         """Publish the gateway's own state."""
@@ -210,34 +197,68 @@ class Bus:
         """Publish something an operator may want to know."""
         self._publish_state(self._key(Stream.EVENTS), event)
 
+    def publish_stage(self, stage: CommandStage) -> None:
+        """Publish how far a command has come, whoever gave it."""
+        key, payload = self._key(Stream.STAGES), encode_record(stage)
+
+        def put() -> None:
+            session = self._session.current
+            if session is not None:
+                session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True)
+
+        self._queue_put(put)
+
+    def publish_account(self, account: StimulationAccount) -> None:
+        """Publish how a biobot was stimulated."""
+        self._publish_state(build_key(site=self._site, stream=Stream.STIMULATION, gateway=self._gateway, node=account.node), account)
+
     def close(self) -> None:
         """Send what waits, unless it takes long; then close."""
         self._watch.close()
-        for declared in reversed(self._declared):
-            declared.undeclare()  # type: ignore[no-untyped-call]  # same
+        self._standing.close()
         self._puts.put(None)
         self._thread.join(timeout=_CLOSE_S)
         if self._thread.is_alive():
             _log.warning("bus.unsent", waiting=self._puts.qsize())
         self._answers.shutdown(wait=True)
-        self._history.shutdown(wait=True, cancel_futures=True)
-        self._session.close()  # type: ignore[no-untyped-call]  # same
+        if self._history is not None:
+            self._history.close()
+        self._session.close()
 
     def _key(self, stream: Stream) -> str:
         return build_key(site=self._site, stream=stream, gateway=self._gateway)
 
+    def _declare_publishers(self, session: zenoh.Session) -> None:
+        self._publishers = {
+            stream: zenoh.ext.declare_advanced_publisher(
+                session,
+                self._key(stream),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                cache=zenoh.ext.CacheConfig(_CACHE),
+                sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=_HEARTBEAT_S, sporadic_heartbeat=None),
+                publisher_detection=True,
+            )
+            for stream in (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
+        }
+
     def _set_radio(self, radio: str, *, is_up: bool) -> None:
+        name = f"radio {radio}"
+        key = build_token_key(site=self._site, kind=Kind.RADIO, name=self._gateway, radio=radio)
         try:
-            if is_up and radio not in self._radios:
-                key = build_token_key(site=self._site, kind=Kind.RADIO, name=self._gateway, radio=radio)
-                self._radios[radio] = self._session.liveliness().declare_token(key)
-            elif not is_up and radio in self._radios:
-                self._radios.pop(radio).undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+            if is_up and not self._standing.is_declared(name):
+                self._standing.declare(name, lambda session: session.liveliness().declare_token(key))
+            elif not is_up:
+                self._standing.undeclare(name)
         except zenoh.ZError as error:
             _log.warning("bus.radio_untold", radio=radio, reason=str(error))
 
     def _publish_state(self, key: str, state: Struct) -> None:
-        self._queue_put(lambda: self._session.put(key, encode_record(state)))
+        def put() -> None:
+            session = self._session.current
+            if session is not None:
+                session.put(key, encode_record(state))
+
+        self._queue_put(put)
 
     def _queue_put(self, put: Callable[[], None]) -> None:
         if self._puts.qsize() >= _PUT_QUEUE:
@@ -253,102 +274,19 @@ class Bus:
                 self._health.count("bus.failed_puts")
                 _log.debug("bus.failed_put", reason=str(error))
 
-    def _take_command(
-        self,
-        query: zenoh.Query,
-        *,
-        key: str,
-        loop: asyncio.AbstractEventLoop,
-        on_command: Callable[[StimulationRequest, CommandAnswer], None],
-    ) -> None:
-        """Runs on a thread of Zenoh."""
-        try:
-            request = decode_record(_payload_of(query), StimulationRequest)
-        except RecordError as error:
-            self._refuse(query, str(error))
-            return
-        limit = _MAX_STOPS if request.action is StimulationAction.STOP else _MAX_COMMANDS
-        with self._lock:
-            if len(self._commands) >= limit:
-                self._refuse(query, f"{limit} commands wait already; try again")
-                return
-            is_first = not self._commands
-            self._commands.append((request, CommandAnswer(query=query, key=key, executor=self._answers)))
-        if is_first:
-            loop.call_soon_threadsafe(self._hand_over_commands, on_command)
 
-    def _hand_over_commands(self, on_command: Callable[[StimulationRequest, CommandAnswer], None]) -> None:
-        with self._lock:
-            commands = list(self._commands)
-            self._commands.clear()
-        for request, answer in commands:
-            on_command(request, answer)
-
-    def _take_watermark(
-        self, sample: zenoh.Sample, *, loop: asyncio.AbstractEventLoop, journal: str, on_watermark: Callable[[str, int], None]
-    ) -> None:
-        """Runs on a thread of Zenoh."""
-        try:
-            key, watermark = parse_key(str(sample.key_expr)), decode_record(sample.payload.to_bytes(), Watermark)
-        except (KeyExpressionError, RecordError):
-            self._health.count("bus.unfit_watermarks")
-            return
-        if watermark.mapper != key.mapper or watermark.journal != journal:
-            return  # of a journal that this gateway wrote before
-        with self._lock:
-            is_first = not self._watermarks
-            if len(self._watermarks) < _MAX_WATERMARKS or watermark.mapper in self._watermarks:
-                self._watermarks[watermark.mapper] = watermark.offset
-        if is_first:
-            loop.call_soon_threadsafe(self._hand_over_watermarks, on_watermark)
-
-    def _hand_over_watermarks(self, on_watermark: Callable[[str, int], None]) -> None:
-        with self._lock:
-            watermarks, self._watermarks = self._watermarks, {}
-        for mapper, offset in watermarks.items():
-            on_watermark(mapper, offset)
-
-    def _take_history(self, query: zenoh.Query, *, key: str, answer: Callable[[HistoryRequest], Iterator[EncodedBatch]]) -> None:
-        """Runs on a thread of Zenoh."""
-        try:
-            request = decode_record(_payload_of(query), HistoryRequest)
-        except RecordError as error:
-            self._refuse(query, str(error))
-            return
-        if not self._n_history.acquire(blocking=False):
-            self._refuse(query, f"{_MAX_HISTORY_QUERIES} history queries wait already; try again")
-            return
-        self._history.submit(self._answer_history, query, request, key=key, answer=answer)
-
-    def _answer_history(
-        self, query: zenoh.Query, request: HistoryRequest, *, key: str, answer: Callable[[HistoryRequest], Iterator[EncodedBatch]]
-    ) -> None:
-        try:
-            with query:
-                for batch in answer(request):
-                    query.reply(key, encode_record(batch))
-        except zenoh.ZError as error:
-            _log.debug("bus.history_lost", reason=str(error))
-        except sqlite3.Error as error:
-            self._health.count("bus.failed_history")
-            _log.error("bus.history_failed", reason=str(error))
-        finally:
-            self._n_history.release()
-
-    def _refuse(self, query: zenoh.Query, reason: str) -> None:
-        self._health.count("bus.refused_queries")
-        with query:
-            query.reply_err(reason.encode())
+def _put_batch(publisher: zenoh.ext.AdvancedPublisher, batch: EncodedBatch) -> None:
+    publisher.put(encode_record(batch))
 
 
-def _is_taken(session: zenoh.Session, key: str) -> bool:
+def _is_taken(service: ServiceSession, key: str) -> bool:
     """Whether somebody else holds a liveliness token; a session that was just opened learns of it once it is connected."""
+    if not service.wait_open(_NAME_CHECK_S):
+        return False
     heard = threading.Event()
+    session = service.current
+    assert session is not None
     subscriber = session.liveliness().declare_subscriber(key, lambda _sample: heard.set(), history=True)
     is_taken = heard.wait(_NAME_CHECK_S)
     subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
     return is_taken
-
-
-def _payload_of(query: zenoh.Query) -> bytes:
-    return b"" if query.payload is None else query.payload.to_bytes()

@@ -1,4 +1,4 @@
-"""What the command line asks of a gateway that runs already, over Zenoh."""
+"""What the command line asks of gateways that run already, over Zenoh."""
 
 import queue
 import time
@@ -8,6 +8,7 @@ import zenoh
 
 from firmware_protocol.contract.commands import CommandStage, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
+from firmware_protocol.contract.mission_orders import MissionAnswer, MissionOrder
 from firmware_protocol.contract.records import GatewayStatus, decode_record, encode_record
 from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.errors import KeyExpressionError
@@ -43,13 +44,37 @@ def send_command(
         Nobody can be connected to.
     """
     with open_client(connect=connect, tls=tls, timing=timing) as session:
-        name = _find_gateway(session, site=site, gateway=gateway, connect=connect)
+        name = find_gateway(session, site=site, gateway=gateway, connect=connect)
         key = build_key(site=site, stream=Stream.COMMAND, gateway=name)
-        for reply in session.get(key, payload=encode_record(request), timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE):
-            if reply.ok is not None:
-                yield decode_record(reply.ok.payload.to_bytes(), CommandStage)
-            elif reply.err is not None:
-                raise CommandError(f"gateway {name} answers: {reply.err.payload.to_string()}")
+        for payload in _ask(session, key, encode_record(request), gateway=name, timeout_s=timeout_s):
+            yield decode_record(payload, CommandStage)
+
+
+def send_order(
+    order: MissionOrder,
+    *,
+    site: str,
+    gateway: str | None,
+    connect: Sequence[str],
+    timeout_s: float,
+    tls: TlsTable,
+    timing: ZenohTable | None = None,
+) -> MissionAnswer | None:
+    """Send an order to the mission of a gateway and return its answer, or None where none comes in time; for the command line.
+
+    Raises
+    ------
+    CommandError
+        No gateway, or more than one, answers there, or it cannot read the order.
+    BusError
+        Nobody can be connected to.
+    """
+    with open_client(connect=connect, tls=tls, timing=timing) as session:
+        name = find_gateway(session, site=site, gateway=gateway, connect=connect)
+        key = build_key(site=site, stream=Stream.ORDERS, gateway=name)
+        for payload in _ask(session, key, encode_record(order), gateway=name, timeout_s=timeout_s):
+            return decode_record(payload, MissionAnswer)
+    return None
 
 
 def read_status(
@@ -74,7 +99,14 @@ def read_status(
     return None
 
 
-def _find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, connect: Sequence[str]) -> str:
+def find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, connect: Sequence[str]) -> str:
+    """Return the name of the gateway that is asked: the one named, or the only one there is.
+
+    Raises
+    ------
+    CommandError
+        There is none within 3 s, or several.
+    """
     pattern = build_key(site=site, stream=Stream.ALIVE, gateway=gateway or ANY)
     found: queue.Queue[str] = queue.Queue()
     # A subscriber with history hears of the gateway as soon as the connection stands; a get would return empty before.
@@ -84,13 +116,24 @@ def _find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, con
         while not found.empty():
             names.add(parse_key(found.get_nowait()).gateway)
     except (queue.Empty, KeyExpressionError) as error:
-        who = f"gateway {gateway!r}" if gateway else "no gateway"
-        verb = "is not" if gateway else "is"
-        raise CommandError(
-            f"{who} {verb} alive at site {site!r} on {', '.join(connect)}; is it running, and are site and endpoint right?"
-        ) from error
+        raise CommandError(nobody_alive(site=site, gateway=gateway, connect=connect)) from error
     finally:
-        subscriber.undeclare()  # type: ignore[no-untyped-call]  # same
+        subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
     if len(names) > 1:
         raise CommandError(f"there are several gateways ({', '.join(sorted(names))}); name one with --gateway")
     return names.pop()
+
+
+def nobody_alive(*, site: str, gateway: str | None, connect: Sequence[str]) -> str:
+    """Say that a gateway, or any, is not to be found."""
+    who = f"gateway {gateway!r} is not" if gateway else "no gateway is"
+    return f"{who} alive at site {site!r} on {', '.join(connect)}; is it running, and are site and endpoint right?"
+
+
+def _ask(session: zenoh.Session, key: str, payload: bytes, *, gateway: str, timeout_s: float) -> Iterator[bytes]:
+    """Yield what a gateway answers."""
+    for reply in session.get(key, payload=payload, timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE):
+        if reply.ok is not None:
+            yield reply.ok.payload.to_bytes()
+        elif reply.err is not None:
+            raise CommandError(f"gateway {gateway} answers: {reply.err.payload.to_string()}")

@@ -24,17 +24,17 @@ from firmware_protocol.dialects.interface import (
 )
 from firmware_protocol.envelope import CoordinatorHello
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.units import LAST_NODE_ADDRESS, NS_PER_S, ShortAddress
+from firmware_protocol.units import BROADCAST, LAST_NODE_ADDRESS, NS_PER_S, ShortAddress
 from gateway.backoff import Backoff
 from gateway.config import LinkTable
 from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError, TransportSilentError, first_transport_error
 from gateway.health import Health
-from gateway.journal_file import SESSIONS_PER_START
 from gateway.log import EventLog
 from gateway.log_ration import LogRation
 from gateway.outage import OnState, Outage
 from gateway.port_opening import OpenPort, PortOpening
 from gateway.radio import Fate, RadioMessage, RadioOutcome, outcome_of
+from gateway.radio_sessions import STEADY_NS, RadioSessions
 from gateway.receipts import Receipts
 from gateway.sendings import Sendings
 from gateway.transports.interface import Transport
@@ -44,9 +44,6 @@ _log = EventLog(__name__)
 
 _MAX_SENDINGS = 256
 """Payloads whose fate is not known; more are refused."""
-
-_STEADY_NS = 5 * NS_PER_S
-"""A session that lasted so long was a good one: the next opening is tried at once, or after the first pause."""
 
 _SAID = {0: _log.debug, 1: _log.info, 2: _log.warning, 3: _log.error}
 
@@ -69,8 +66,7 @@ class Coordinator:
         Takes a radio payload; returns a future that is done when all that the payload says is on disk, or None where there
         is nothing to wait for.
     first_session
-        Number of its first session. It must not be one that an earlier process used of late: the dongle takes RESET of its
-        running session for a repetition, keeps its counters, and both sides wait for ever (WIRE_FORMAT.md §3.2).
+        Number of its first session; see ``RadioSessions``.
     """
 
     def __init__(
@@ -95,15 +91,12 @@ class Coordinator:
         self._host = make_host()
         self._is_held = False
         self._wake = asyncio.Event()
-        self._first_session = first_session
-        self._n_sessions = 0
+        self._sessions = RadioSessions(first=first_session)
         self._receipts = Receipts()
         self._sendings = Sendings(health=health)
         self._opening_until_ns = 0
         self._reopen_at_ns: int | None = None
         self._reopen_pause_s = 0.0
-        self._opened_ns: int | None = None
-        self._was_steady = False
         self._outage = Outage(radio=radio, health=health, on_state=on_state)
         self._opening = PortOpening(open_port=open_port, reset_port=reset_port, config=config, health=health, outage=self._outage)
         self._ration = LogRation()
@@ -131,7 +124,27 @@ class Coordinator:
         RadioUnavailableError
             The radio is down, its queue is full, or the address is none of one biobot; nothing was sent.
         """
-        self._check_open_for(destination)
+        self._check_address(destination)
+        return self._send(destination=destination, payload=payload, is_urgent=is_urgent)
+
+    def send_to_all(self, payload: bytes) -> "asyncio.Future[RadioOutcome]":
+        """Send an urgent radio payload by broadcast, as ``send`` does."""
+        return self._send(destination=BROADCAST, payload=payload, is_urgent=True)
+
+    def withdraw(self, sending: "asyncio.Future[RadioOutcome]") -> bool:
+        """Take back a payload that was not handed to the port; True: its future says so, and it never will be."""
+        outcome = RadioOutcome(fate=Fate.NOT_SENT, reason="withdrawn before it was written")
+        if self._sendings.drop_timed(sending, outcome):
+            return True
+        ticket = self._sendings.ticket_of(sending)
+        if ticket is None or not self._host.withdraw(ticket):
+            return False
+        self._sendings.settle(ticket, outcome)
+        self._wake.set()  # what waited behind it may go
+        return True
+
+    def _send(self, *, destination: ShortAddress, payload: bytes, is_urgent: bool) -> "asyncio.Future[RadioOutcome]":
+        self._check_open()
         if len(self._sendings) >= _MAX_SENDINGS and not is_urgent:
             raise RadioUnavailableError(radio=self.radio, reason=f"{len(self._sendings)} payloads wait for it")
         now_ns = time.monotonic_ns()
@@ -152,7 +165,8 @@ class Coordinator:
         RadioUnavailableError
             As of ``send``, or another one waits; nothing will be sent.
         """
-        self._check_open_for(destination)
+        self._check_address(destination)
+        self._check_open()
         future = self._sendings.hold_timed(destination=destination, make=make, radio=self.radio)
         self._wake.set()
         return future
@@ -162,7 +176,7 @@ class Coordinator:
         backoff = Backoff(first_s=self._config.first_backoff_s, max_s=self._config.max_backoff_s)
         while True:
             self._outage.attempt()
-            self._was_steady = False
+            self._sessions.was_steady = False
             try:
                 transport = await self._opening.open()
                 try:
@@ -178,13 +192,15 @@ class Coordinator:
                 self._say(_log.error, "radio.broken", reason=reason, trace=traceback.format_exc())
                 self._outage.begin(reason)
                 self._host = self._make_host()  # what the old one knows may be what broke it
-            if self._was_steady:
+            if self._sessions.was_steady:
                 backoff.start_anew()
             await asyncio.sleep(backoff.take_s())
 
-    def _check_open_for(self, destination: ShortAddress) -> None:
+    def _check_address(self, destination: ShortAddress) -> None:
         if destination > LAST_NODE_ADDRESS:
             raise RadioUnavailableError(radio=self.radio, reason=f"{destination:#06x} is no biobot's address: it would reach many, or none")
+
+    def _check_open(self) -> None:
         if not self.is_up:
             raise RadioUnavailableError(radio=self.radio, reason="it is not connected")
 
@@ -205,7 +221,7 @@ class Coordinator:
             raise first_transport_error(group) from group
         finally:
             self._is_held = False
-            self._end_session()
+            self._sessions.end(now_ns=time.monotonic_ns())
             self._count_faults()
             self._sendings.settle_all(RadioOutcome(fate=Fate.UNKNOWN, reason="the port was closed"))
 
@@ -214,15 +230,11 @@ class Coordinator:
         self._reopen_at_ns = None
         now_ns = time.monotonic_ns()
         self._allow_opening(now_ns)
-        self._take_events(self._host.open(session=self._new_session(), now_ns=now_ns))
+        self._take_events(self._host.open(session=self._sessions.next_number(), now_ns=now_ns))
         self._wake.set()
 
     def _allow_opening(self, now_ns: int) -> None:
         self._opening_until_ns = now_ns + int(self._config.open_timeout_s * NS_PER_S)
-
-    def _new_session(self) -> int:
-        # Only a session that opened is used up: while the dongle does not answer, numbers do not go round to its last one.
-        return (self._first_session + self._n_sessions % SESSIONS_PER_START) % (1 << 16)
 
     async def _read(self, transport: Transport) -> None:
         while True:
@@ -239,8 +251,8 @@ class Coordinator:
             while True:
                 if (safe := self._receipts.take_ready()) is not None:  # here, so that all payloads of one commit share one acknowledgement
                     self._host.confirm(safe)
-                for frame in self._host.take_frames():
-                    await transport.write(frame)
+                while frames := self._host.take_frames(at_most=1):  # what is urgent goes before what was not handed out yet
+                    await transport.write(frames[0])
                 if self._hand_over_timed():  # after what waited for the line, or its instant would be too early by all of that
                     continue
                 deadline_ns = self._next_deadline_ns()
@@ -342,8 +354,7 @@ class Coordinator:
             self._say(_log.info, "radio.identified", firmware=event.description, pan=pan, channel=channel)
 
     def _came_up(self) -> None:
-        self._opened_ns = time.monotonic_ns()
-        self._n_sessions += 1
+        self._sessions.begin(now_ns=time.monotonic_ns())
         self._receipts.clear()
         self._opening.n_silences = 0
         self._outage.end()
@@ -358,7 +369,7 @@ class Coordinator:
         if self._reopen_at_ns is not None:
             return
         self._sendings.settle_all(RadioOutcome(fate=Fate.UNKNOWN, reason="the dongle restarted"))
-        is_steady = self._end_session()
+        is_steady = self._sessions.end(now_ns=time.monotonic_ns())
         self._health.count("radio.restarts")
         if is_steady:
             self._reopen_pause_s = 0.0
@@ -367,16 +378,9 @@ class Coordinator:
             return
         # A dongle that starts again and again is not to be asked as fast as the line goes.
         self._reopen_pause_s = min(max(2 * self._reopen_pause_s, self._config.first_backoff_s), self._config.max_backoff_s)
-        self._outage.begin(f"the dongle restarted within {_STEADY_NS // NS_PER_S} s")
+        self._outage.begin(f"the dongle restarted within {STEADY_NS // NS_PER_S} s")
         self._reopen_at_ns = time.monotonic_ns() + int(self._reopen_pause_s * NS_PER_S)
         self._opening_until_ns = self._reopen_at_ns + int(self._config.open_timeout_s * NS_PER_S)
-
-    def _end_session(self) -> bool:
-        """Take note that the session, if there was one, is over; return whether it was a good one."""
-        is_steady = self._opened_ns is not None and time.monotonic_ns() - self._opened_ns >= _STEADY_NS
-        self._was_steady |= is_steady
-        self._opened_ns = None
-        return is_steady
 
     def _count_faults(self) -> None:
         for name, count in self._host.faults.items():

@@ -53,20 +53,9 @@ class DownlinkSender:
 
         return coordinator.send_timed(destination=address, make=make_payload)
 
-    def send_everywhere(self, node: NodeId, message: Downlink) -> "list[asyncio.Future[RadioOutcome]]":
-        """Send an urgent message over the radio that heard a biobot last, and over each other one that heard it within the last minutes.
-
-        Raises
-        ------
-        RadioUnavailableError
-            As of ``send``, where no radio took it.
-        """
+    def send_elsewhere(self, node: NodeId, message: Downlink) -> "list[asyncio.Future[RadioOutcome]]":
+        """Send an urgent message over each radio that heard a biobot within the last minutes, but for the one that heard it last."""
         futures: list[asyncio.Future[RadioOutcome]] = []
-        refusal: RadioUnavailableError | None = None
-        try:
-            futures.append(self.send(node, message, is_urgent=True))
-        except RadioUnavailableError as error:
-            refusal = error
         known = self._nodes.find(node)
         for place in self._nodes.places_of(node, now_ns=time.monotonic_ns()):
             coordinator = self._coordinators.get(place.radio)
@@ -76,9 +65,21 @@ class DownlinkSender:
                 payload = encode_downlink(self._sequence, message)
                 futures.append(coordinator.send(destination=place.address, payload=payload, is_urgent=True))
                 self._sequence = (self._sequence + 1) % _SEQUENCE_MODULUS
-        if refusal is not None and not futures:
-            raise refusal
         return futures
+
+    def send_to_all(self, message: Downlink) -> "dict[str, asyncio.Future[RadioOutcome]]":
+        """Send an urgent message by broadcast, one frame on each radio that is up; return what tells its fate, by radio."""
+        payload = encode_downlink(self._sequence, message)
+        self._sequence = (self._sequence + 1) % _SEQUENCE_MODULUS
+        futures: dict[str, asyncio.Future[RadioOutcome]] = {}
+        for radio, coordinator in self._coordinators.items():
+            with contextlib.suppress(RadioUnavailableError):
+                futures[radio] = coordinator.send_to_all(payload)
+        return futures
+
+    def withdraw(self, sending: "asyncio.Future[RadioOutcome]") -> bool:
+        """Take back what ``send`` sent, where it was not written; True: it never will be, and its future says so (``Fate.NOT_SENT``)."""
+        return any(coordinator.withdraw(sending) for coordinator in self._coordinators.values())
 
     def radio_of(self, node: NodeId) -> str | None:
         """Return the radio over which a biobot is reached, None where it was never heard."""
@@ -89,6 +90,11 @@ class DownlinkSender:
         """Return whether a radio takes payloads now."""
         coordinator = self._coordinators.get(radio)
         return coordinator is not None and coordinator.is_up
+
+    def can_reach(self, node: NodeId) -> bool:
+        """Return whether the radio of a biobot takes payloads now."""
+        radio = self.radio_of(node)
+        return radio is not None and self.is_radio_up(radio)
 
     def n_pending(self, node: NodeId) -> int:
         """Return how many payloads wait for their fate at the radio of a biobot."""

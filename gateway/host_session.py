@@ -87,8 +87,8 @@ class HostSession:
 
     async def _write(self) -> None:
         while True:
-            for frame in self.host.take_frames():
-                await self._transport.write(frame)
+            while frames := self.host.take_frames(at_most=1):
+                await self._transport.write(frames[0])
             deadlines = [at for at in (self.host.next_deadline_ns(), self._reopen_at_ns) if at is not None]
             wait_s = max(0.0, (min(deadlines) - time.monotonic_ns()) / NS_PER_S) if deadlines else None
             try:

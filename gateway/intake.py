@@ -69,6 +69,7 @@ class IntakeListeners:
     """A biobot's number came with one EUI-64 and then with another."""
     on_diagnostic: Callable[[NodeId, Diagnostic], None]
     on_configuration: Callable[[NodeId, ConfigurationReport], None]
+    on_limits: Callable[[NodeId, Limits], None]
     on_unknown_clock: Callable[[NodeId], None]
     """Told at once: a report was not taken because its backpack's clock is not known yet."""
 
@@ -335,6 +336,7 @@ class Intake:
                     tellers.append(lambda listeners: listeners.on_duplicate(node.node, other, said.eui64))
             case Limits():
                 self._nodes.take_limits(node, said)
+                tellers.append(lambda listeners: listeners.on_limits(node.node, said))
             case Diagnostic():
                 return lambda listeners: listeners.on_diagnostic(node.node, said)
             case ConfigurationReport():

@@ -6,6 +6,7 @@ behind it is published or acknowledged in between, and nothing is lost. A write 
 """
 
 import asyncio
+import contextlib
 import sqlite3
 import struct
 import time
@@ -23,6 +24,7 @@ from gateway.errors import JournalFullError
 from gateway.health import Health
 from gateway.journal_file import (
     PROGRESS,
+    ChainHead,
     Committed,
     Damage,
     JournalFile,
@@ -45,20 +47,17 @@ MAX_GROUP_SIZE = 4 << 20
 """Octets of records and reports, after which a group takes no further write."""
 
 MAX_WAITING = 65_536
-"""Writes that may wait for the disk. A native dongle stalls at 16 unconfirmed payloads; XBee and Z-Stack take no confirmation and never
-stall, but a backpack has at most 33 messages outstanding, and a repetition is no write. So it takes a flood of commands, or two thousand
-biobots, to come near."""
+"""Writes that may wait for the disk. Native dongles stall at 16 unconfirmed payloads; XBee and Z-Stack never do, but a backpack has at most
+33 messages outstanding, and a repetition is no write: it takes a flood of commands, or two thousand biobots, to come near."""
 
 _UNSTORABLE = (OverflowError, TypeError, ValueError, struct.error)
 """What adding a write to a group raises where it can never be stored. What SQLite raises is the disk's, and is waited out."""
 
 _MACHINE_BOOT = Path("/proc/sys/kernel/random/boot_id")
-_FIRST_RETRY_S = 0.1
-_MAX_RETRY_S = 2.0
+_FIRST_RETRY_S, _MAX_RETRY_S = 0.1, 2.0
 
 _KEEP_ALL = Retention()
-_TIDY_PERIOD_S = 1.0
-_TIDY_AGAIN_S = 0.02
+_TIDY_PERIOD_S, _TIDY_AGAIN_S = 1.0, 0.02
 _TIDY_AFTER = 64
 """Commits after which small segments are looked through."""
 
@@ -89,9 +88,7 @@ class Journal:
     """The journal of a running gateway; see the module's description. Belongs to one event loop."""
 
     def __init__(self, *, path: Path, file: JournalFile, health: Health, retention: Retention = _KEEP_ALL) -> None:
-        self._path = path
-        self._file = file
-        self._health = health
+        self._path, self._file, self._health = path, file, health
         self._groups: deque[_Group] = deque()
         self._n_waiting = 0
         self._wake = asyncio.Event()
@@ -108,8 +105,7 @@ class Journal:
         self._retention = retention
         self._watermarks = file.watermarks()
         self._new_watermarks: dict[str, int] = {}
-        self._tidied_at = 0.0
-        self._n_untidied = 0
+        self._tidied_at, self._n_untidied = 0.0, 0
         self._is_oversized = False
         self._n_undelivered, self._undelivered_told_at = 0, -_ALARM_PERIOD_S
         self._is_behind = self._is_behind_untold = False
@@ -147,6 +143,11 @@ class Journal:
     def oldest_offset(self) -> int:
         """Oldest offset that is still on disk; where there is none, the next one."""
         return self._oldest_offset
+
+    @property
+    def audit_head(self) -> ChainHead:
+        """Where the audit log's chain ends, of what is on disk."""
+        return self._file.audit_head
 
     @property
     def is_full(self) -> bool:
@@ -394,7 +395,6 @@ class Journal:
 
 def _read_machine_boot() -> str:
     """Return the kernel's name for the time since the machine booted; empty where it gives none."""
-    try:
+    with contextlib.suppress(OSError):
         return _MACHINE_BOOT.read_text(encoding="ascii").strip()
-    except OSError:
-        return ""
+    return ""

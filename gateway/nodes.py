@@ -191,6 +191,11 @@ class NodeBook:
         """Return a biobot, or None where it was never heard of."""
         return self._nodes.get(node)
 
+    def last_heard_ns(self, node: NodeId) -> int:
+        """Return when a biobot was last heard, 0 where it was not since the gateway started."""
+        known = self._nodes.get(node)
+        return 0 if known is None else known.last_heard_ns
+
     def places_of(self, node: NodeId, *, now_ns: int) -> list[Place]:
         """Return where a biobot was heard within the last minutes, one place at each radio, the latest first."""
         return self._whereabouts.recent(node, now_ns=now_ns)

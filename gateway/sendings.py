@@ -79,6 +79,18 @@ class Sendings:
         timed, self._timed = self._timed, None
         return timed
 
+    def ticket_of(self, future: "asyncio.Future[RadioOutcome]") -> int | None:
+        """Return the ticket of a payload that waits, by its future."""
+        return next((ticket for ticket, sending in self._waiting.items() if sending.future is future), None)
+
+    def drop_timed(self, future: "asyncio.Future[RadioOutcome]", outcome: RadioOutcome) -> bool:
+        """Make no payload of the timed one that waits, if it has this future; return whether it has."""
+        if self._timed is None or self._timed.future is not future:
+            return False
+        self._timed = None
+        future.set_result(outcome)
+        return True
+
     def overdue(self, *, now_ns: int) -> list[int]:
         """Return the tickets whose deadline has passed."""
         tickets = []

@@ -9,17 +9,19 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
-from firmware_protocol.contract.commands import StimulationRequest
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus
+from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, NodeStatus
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
-from gateway.bus import Bus, CommandAnswer
+from gateway.audit_log import AuditLog
+from gateway.bus import Bus
 from gateway.clocks import ClockBook
+from gateway.commanding import Commanding
 from gateway.config import GatewayConfig, LinkTable
 from gateway.config_loading import read_address
 from gateway.configurator import Configurator
@@ -66,7 +68,6 @@ class Service:
         self._vitals = Vitals(health=self._health, journal=Path(config.journal), connect=config.connect)
         self._manager = manager or ServiceManager(address=None)
         self._stopping = asyncio.Event()
-        self._command_tasks: set[asyncio.Task[None]] = set()
 
     def stop(self) -> None:
         """Have ``run`` finish what is under way and return."""
@@ -108,7 +109,8 @@ class Service:
                 await asyncio.to_thread(bus.close)
         finally:
             await asyncio.to_thread(self._journal.close)
-        _log.info("gateway.stopped", head_offset=self._journal.head_offset)
+        head = self._journal.audit_head
+        _log.info("gateway.stopped", head_offset=self._journal.head_offset, audit_rows=head.n_rows, audit_head=head.chain.hex())
 
     async def _run_parts(
         self, ports: dict[str, PortSpec], recorders: Mapping[str, Recorder], bus: Bus, on_ready: Callable[[], None] | None
@@ -171,24 +173,21 @@ class Service:
             on_refused=partial(self._on_unconfigured, bus),
             first_token=journal.identity.first_session,
         )
-        gate = StimulationGate(
-            gateway=config.name,
-            config=config.stimulation,
-            sender=sender,
-            nodes=nodes,
-            journal=journal,
-            reader=reader,
-            health=health,
+        audit = AuditLog(journal=journal, reader=reader, health=health)
+        commanding = Commanding.wire(
+            config=config, journal=journal, reader=reader, nodes=nodes, sender=sender, audit=audit, bus=bus, health=health
         )
+        gate = commanding.gate
         intake.connect(
             IntakeListeners(
                 on_committed=acknowledger.mark,
-                on_status=bus.publish_node_status,
+                on_status=partial(self._on_status, bus, gate),
                 on_neighbours=bus.publish_neighbours,
                 on_reply=gate.on_reply,
                 on_duplicate=partial(self._on_duplicate, bus),
                 on_diagnostic=partial(self._on_diagnostic, bus),
                 on_configuration=configurator.on_report,
+                on_limits=audit.note_announced,
                 on_unknown_clock=inquirer.note_refused,
             )
         )
@@ -199,17 +198,24 @@ class Service:
         try:
             async with asyncio.TaskGroup() as tasks:
                 signs_of_life = [tasks.create_task(self._vitals.run()), tasks.create_task(self._manager.watch())]
-                running = [tasks.create_task(journal.run())]
+                running = [tasks.create_task(journal.run()), tasks.create_task(audit.run())]
+                audit.begin({"name": config.name, "site": config.site, "version": version("biobot-gateway"), "ports": config.ports})
+                audit.note_limits(config.stimulation)
                 bus.start(
-                    on_command=partial(self._on_command, gate, tasks),
+                    on_command=partial(commanding.take, tasks),
+                    on_turned_away=audit.turn_away,
                     open_reader=journal.reader,
                     journal=journal.journal_id,
+                    commanders=commanding.commanders,
                     on_watermark=journal.note_watermark,
                     on_damage=journal.note_damage,
                 )
+                for account in gate.accounts():
+                    bus.publish_account(account)
                 running.append(tasks.create_task(self._publish_status(bus, intake, nodes)))
                 running.append(tasks.create_task(acknowledger.run()))
                 running.append(tasks.create_task(inquirer.run()))
+                running.append(tasks.create_task(commanding.dead_man.run()))
                 running.append(tasks.create_task(configurator.run()))
                 if config.mission.is_enabled:
                     mission = Mission(
@@ -222,26 +228,27 @@ class Service:
                 if on_ready is not None:
                     on_ready()
                 await self._stopping.wait()
-                await self._wind_down(running, gate)
+                await self._wind_down(running, commanding, audit)
                 for task in signs_of_life:
                     task.cancel()
         finally:
             reader.close()
 
-    async def _wind_down(self, running: list[asyncio.Task[None]], gate: StimulationGate) -> None:
+    async def _wind_down(self, running: list[asyncio.Task[None]], commanding: Commanding, audit: AuditLog) -> None:
         """Stop in the reverse order of the start; the journal, started first, is drained before it ends."""
         _log.info("gateway.stopping")
         self._vitals.is_stopping = True
         self._manager.stopping()
-        gate.abandon()
+        command_tasks = await commanding.wind_down(self._config)
         journal_task, *others = running
-        others += self._command_tasks
+        others += command_tasks
         pending = set(others)
         while pending:
             # A cancellation that meets a port's closing in the same step is lost (Python 3.11): it is asked for again.
             for task in reversed(others):
                 task.cancel()
             _, pending = await asyncio.wait(pending, timeout=_CANCEL_AGAIN_S)
+        audit.end("asked to stop")
         try:
             async with asyncio.timeout(_DRAIN_TIMEOUT_S):
                 await self._journal.drain()
@@ -249,12 +256,9 @@ class Service:
             _log.error("gateway.undrained", reason=self._journal.fault or "slow disk", seconds=_DRAIN_TIMEOUT_S)
         journal_task.cancel()
 
-    def _on_command(self, gate: StimulationGate, tasks: asyncio.TaskGroup, request: StimulationRequest, answer: CommandAnswer) -> None:
-        if self._stopping.is_set():
-            return
-        task = tasks.create_task(gate.handle(request, answer.tell))
-        self._command_tasks.add(task)
-        task.add_done_callback(self._command_tasks.discard)
+    def _on_status(self, bus: Bus, gate: StimulationGate, status: NodeStatus) -> None:
+        gate.on_mode(status.node, status.mode)
+        bus.publish_node_status(status)
 
     def _on_radio_state(self, bus: Bus, radio: str, state: RadioState, reason: str) -> None:
         bus.set_radio(radio, is_up=state is RadioState.UP)
@@ -315,6 +319,8 @@ class Service:
                     disk_free_bytes=None if vitals.disk is None else vitals.disk.free_bytes,
                     faults=(*vitals.faults(), *vitals.warnings()),
                     missing=tuple(vitals.missing()),
+                    audit_rows=journal.audit_head.n_rows,
+                    audit_head=journal.audit_head.chain.hex(),
                 )
             )
             await asyncio.sleep(_STATUS_PERIOD_S)
@@ -351,7 +357,8 @@ def _retention_of(config: GatewayConfig) -> Retention:
         max_age_ns=None if table.max_age_days is None else days(table.max_age_days),
         max_size=None if table.max_mb is None else int(table.max_mb * 1_000_000),
         keep_ns=int(config.encounters.window_s * NS_PER_S),
-        audit_age_ns=days(table.audit_days),
+        # Trains that still count must be found again at a restart.
+        audit_age_ns=max(days(table.audit_days), 2 * int(config.stimulation.window_s * NS_PER_S)),
         node_age_ns=days(table.node_days),
         mapper_age_ns=days(table.mapper_days),
     )

@@ -4,34 +4,28 @@ Zenoh calls back on threads of its own. Callbacks only put bytes into a bounded 
 """
 
 import asyncio
-import json
 import random
 import threading
 from collections import Counter, deque
 from collections.abc import AsyncGenerator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing, suppress
 from dataclasses import dataclass
-from typing import Any, Final, Self, TypeAlias
+from functools import partial
+from typing import Final, Self
 
 import zenoh
 import zenoh.ext
 
-from firmware_protocol.contract.commands import CommandStage, StimulationRequest
-from firmware_protocol.contract.keys import ANY, Key, Stream, build_key, parse_key
-from firmware_protocol.contract.presence import Kind, Token, build_token_key, parse_token_key
-from firmware_protocol.contract.records import (
-    GatewayEvent,
-    GatewayStatus,
-    HistoryRequest,
-    NeighbourReport,
-    NodeStatus,
-    RecordBatch,
-    Watermark,
-    decode_record,
-    encode_record,
-)
-from firmware_protocol.contract.sessions import ROUTER, TlsTable, ZenohTable, session_settings
-from firmware_protocol.errors import KeyExpressionError, RecordError
+from firmware_protocol.contract.commands import CommanderBeat, CommandStage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.keys import ANY, Stream, build_key
+from firmware_protocol.contract.mission_orders import MissionAnswer, MissionOrder
+from firmware_protocol.contract.presence import Kind, build_token_key
+from firmware_protocol.contract.records import HistoryRequest, RecordBatch, Watermark, decode_record, encode_record
+from firmware_protocol.contract.sessions import TlsTable, ZenohTable, endpoint_problem
+from firmware_protocol.errors import RecordError
+from mapper.arrivals import Arrival, decode_arrival
+from mapper.bus_standing import StandingSession
 from mapper.errors import BusError, QueryError
 from mapper.log import EventLog
 
@@ -48,18 +42,13 @@ _PATIENCE_S: Final = 15.0
 _LOOK_EVERY_S: Final = 0.1
 _ALIVE_TIMEOUT_S: Final = 1.0
 
+_URGENT_THREADS: Final = 8
+# What is decoded in one go, so that a flood never holds up a request: a few milliseconds.
+_MAX_TAKEN_MESSAGES: Final = 500
+_MAX_TAKEN_BYTES: Final = 2**18
+_STOPS: Final = frozenset({StimulationAction.STOP, StimulationAction.STOP_ALL})
+
 _JOURNALED: Final = (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Presence:
-    """A gateway, one of its radios or a mapper came to the bus, or left it."""
-
-    token: Token
-    is_alive: bool
-
-
-Arrival: TypeAlias = RecordBatch | GatewayStatus | NodeStatus | NeighbourReport | GatewayEvent | Presence
 
 
 class Bus:
@@ -73,12 +62,15 @@ class Bus:
         self.counters: Counter[str] = Counter()
         self._site = site
         self._loop = loop
-        self._session: zenoh.Session
-        self._declared: list[Any] = []
+        self._session: StandingSession
         self._lock = threading.Lock()
         self._inbox: deque[tuple[str, bytes | bool]] = deque()
         self._inbox_bytes = 0
         self._has_arrivals = asyncio.Event()
+        self._is_claimed = asyncio.Event()
+        self._commander_key = ""
+        # Of its own: whatever else waits for Zenoh in the default pool, a stop does not wait for it.
+        self._urgent = ThreadPoolExecutor(_URGENT_THREADS, thread_name_prefix="urgent")
 
     @classmethod
     async def open(
@@ -98,9 +90,12 @@ class Bus:
             An endpoint cannot be understood, or cannot be listened on.
         """
         bus = cls(site=site, loop=asyncio.get_running_loop())
+        for reason in filter(None, (endpoint_problem(endpoint, listens=False) for endpoint in connect)):
+            raise BusError(reason=reason, next_step="give endpoints such as tcp/127.0.0.1:7447")
         try:
-            config = _session_config(connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing)
-            bus._session = await asyncio.to_thread(zenoh.open, config)
+            bus._session = await asyncio.to_thread(
+                partial(StandingSession, connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing)
+            )
             await asyncio.to_thread(bus._declare)
         except zenoh.ZError as error:
             raise BusError(
@@ -111,12 +106,13 @@ class Bus:
 
     async def aclose(self) -> None:
         """Leave the bus."""
+        self._urgent.shutdown(wait=False, cancel_futures=True)
         await asyncio.to_thread(self._session.close)
 
     @property
     def is_connected(self) -> bool:
         """Say whether any gateway or router is connected."""
-        return bool(self._session.info.transports())
+        return self._session.is_connected
 
     async def claim(self, name: str, *, settle_s: float = _SETTLE_S, patience_s: float = _PATIENCE_S) -> None:
         """Be alive under a name, once somebody is connected and nobody else has been alive under it for ``settle_s`` to twice that.
@@ -129,10 +125,10 @@ class Bus:
             Somebody else is alive under it, and still is after ``patience_s``: a mapper that was killed may be for a while.
         """
         key = build_token_key(site=self._site, kind=Kind.MAPPER, name=name)
-        liveliness = self._session.liveliness()
 
         def is_taken() -> bool:
-            return any(reply.ok is not None for reply in liveliness.get(key, timeout=_ALIVE_TIMEOUT_S))
+            session = self._session.current
+            return session is not None and any(reply.ok is not None for reply in session.liveliness().get(key, timeout=_ALIVE_TIMEOUT_S))
 
         settle_s *= random.uniform(1, 2)  # two that come to be connected at one moment are not to claim it at one moment
         free_since = taken_since = None
@@ -151,17 +147,52 @@ class Bus:
             else:
                 free_since, taken_since = free_since or now, None
             await asyncio.sleep(_LOOK_EVERY_S)
-        self._declared.append(await asyncio.to_thread(liveliness.declare_token, key))
+        await asyncio.to_thread(self._session.hold_token, key)
+        self._is_claimed.set()
+
+    async def be_commander(self, name: str) -> None:
+        """Hold the token of a commander, once `claim` has made sure that nobody else has that name: it must go when this process does."""
+        await self._is_claimed.wait()
+        key = build_token_key(site=self._site, kind=Kind.COMMANDER, name=name)
+        await asyncio.to_thread(self._session.hold_token, key)
+        self._commander_key = key
+
+    async def resign(self) -> None:
+        """Give the commander's token back; gateways stop whom it moved."""
+        with suppress(zenoh.ZError):
+            await asyncio.to_thread(self._session.undeclare, self._commander_key)
+
+    def publish_beat(self, *, commander: str, number: int) -> None:
+        """Say that a commander is there. It takes no longer than a millisecond: on a link that takes nothing it is dropped."""
+        key = build_key(site=self._site, stream=Stream.BEAT, gateway=commander)
+        session = self._session.current
+        if session is None:
+            return
+        with suppress(zenoh.ZError):
+            session.put(
+                key,
+                encode_record(CommanderBeat(number=number)),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+            )
 
     async def receive(self) -> list[Arrival]:
-        """Wait until something came in, and return all of it in order of arrival; what cannot be meant is counted and left out."""
+        """Wait until something came in, and return the first of it in order of arrival; what cannot be meant is counted and left out."""
         await self._has_arrivals.wait()
+        raw: list[tuple[str, bytes | bool]] = []
+        size = 0
         with self._lock:
-            self._has_arrivals.clear()
-            raw, self._inbox = self._inbox, deque()
-            self._inbox_bytes = 0
-        arrivals = [arrival for key, payload in raw if (arrival := _decode(key, payload)) is not None]
+            while self._inbox and len(raw) < _MAX_TAKEN_MESSAGES and size < _MAX_TAKEN_BYTES:
+                key, payload = self._inbox.popleft()
+                raw.append((key, payload))
+                size += _size(payload)
+            self._inbox_bytes -= size
+            if not self._inbox:
+                self._has_arrivals.clear()
+        arrivals = [arrival for key, payload in raw if (arrival := decode_arrival(key, payload)) is not None]
         self.counters["unfit"] += len(raw) - len(arrivals)
+        await asyncio.sleep(0)  # where more waits, nothing else would let requests in between
         return arrivals
 
     async def fetch_history(self, gateway: str, *, from_offset: int, limit: int, timeout_s: float = 10.0) -> list[RecordBatch]:
@@ -175,8 +206,10 @@ class Bus:
         key = build_key(site=self._site, stream=Stream.HISTORY, gateway=gateway)
         request = HistoryRequest(from_offset=from_offset, limit=limit)
         batches: list[RecordBatch] = []
-        async with aclosing(self._query(key, encode_record(request), timeout_s=timeout_s)) as replies:
+        async with aclosing(self._replies(self._begin(key, encode_record(request), timeout_s=timeout_s))) as replies:
             async for payload in replies:
+                if isinstance(payload, QueryError):
+                    raise payload
                 try:
                     batch = decode_record(payload, RecordBatch)
                 except RecordError as error:
@@ -189,28 +222,63 @@ class Bus:
         """Tell a gateway how far a mapper has its records; one that is not there hears it the next time."""
         key = build_key(site=self._site, stream=Stream.WATERMARK, gateway=gateway, mapper=mapper)
         payload = encode_record(Watermark(mapper=mapper, journal=journal, offset=offset))
-        with suppress(zenoh.ZError):
-            await asyncio.to_thread(self._session.put, key, payload)
+        session = self._session.current
+        if session is not None:
+            with suppress(zenoh.ZError):
+                await asyncio.to_thread(session.put, key, payload)
 
-    async def send_command(self, request: StimulationRequest, *, gateway: str, timeout_s: float) -> AsyncGenerator[CommandStage, None]:
-        """Send a command and yield the stages that its gateway reports; none at all means that it is not there.
+    def send_command(
+        self, request: StimulationRequest, *, gateway: str | None, timeout_s: float
+    ) -> AsyncGenerator[CommandStage | QueryError, None]:
+        """Send a command at once to a gateway, or (None) to all, and return what yields the stages that they report.
+
+        None at all means that nobody is there. An error is yielded for a gateway that refused the form of the request, and for no end
+        of the answers within ``timeout_s``. A stop overtakes all else that is written to the bus, and is not waited for where a link takes
+        nothing: whoever gives it asks again.
+        """
+        key = build_key(site=self._site, stream=Stream.COMMAND, gateway=gateway or ANY)
+        is_urgent = request.action in _STOPS
+        return self._stages_of(request, self._begin(key, encode_record(request), timeout_s=timeout_s, is_urgent=is_urgent))
+
+    async def _stages_of(self, request: StimulationRequest, query: "_Query") -> AsyncGenerator[CommandStage | QueryError, None]:
+        async with aclosing(self._replies(query)) as replies:
+            async for payload in replies:
+                if isinstance(payload, QueryError):
+                    yield payload
+                    continue
+                try:
+                    stage = decode_record(payload, CommandStage)
+                except RecordError as error:
+                    yield QueryError(key=query.key, reason=str(error), is_timeout=False)
+                    continue
+                if stage.command_id == request.command_id:
+                    yield stage
+
+    async def send_order(self, order: MissionOrder, *, gateway: str | None, timeout_s: float) -> list[MissionAnswer]:
+        """Give the mission of a gateway, or (None) of all, an order; an empty list means that nobody is there.
 
         Raises
         ------
         QueryError
-            The gateway refused the form of the request, or gave no final answer within ``timeout_s``.
+            Nobody answered, but for an error.
         """
-        key = build_key(site=self._site, stream=Stream.COMMAND, gateway=gateway)
-        async with aclosing(self._query(key, encode_record(request), timeout_s=timeout_s)) as replies:
+        key = build_key(site=self._site, stream=Stream.ORDERS, gateway=gateway or ANY)
+        answers: list[MissionAnswer] = []
+        fault: QueryError | None = None
+        async with aclosing(self._replies(self._begin(key, encode_record(order), timeout_s=timeout_s))) as replies:
             async for payload in replies:
+                if isinstance(payload, QueryError):
+                    fault = payload
+                    continue
                 try:
-                    stage = decode_record(payload, CommandStage)
+                    answers.append(decode_record(payload, MissionAnswer))
                 except RecordError as error:
-                    raise QueryError(key=key, reason=str(error), is_timeout=False) from error
-                if stage.command_id == request.command_id:
-                    yield stage
+                    fault = QueryError(key=key, reason=str(error), is_timeout=False)
+        if fault is not None and not answers:
+            raise fault
+        return answers
 
-    async def _query(self, key: str, payload: bytes, *, timeout_s: float) -> AsyncGenerator[bytes, None]:
+    def _begin(self, key: str, payload: bytes, *, timeout_s: float, is_urgent: bool = False) -> "_Query":
         replies: asyncio.Queue[zenoh.Reply | None] = asyncio.Queue()
 
         def hand_over(reply: zenoh.Reply | None) -> None:
@@ -218,28 +286,38 @@ class Bus:
                 self._loop.call_soon_threadsafe(replies.put_nowait, reply)
 
         def ask() -> None:
-            self._session.get(
+            session = self._session.current
+            if session is None or not session.info.transports():
+                hand_over(None)  # nobody is there; a client would wait until the query's time is over
+                return
+            session.get(
                 key,
                 zenoh.handlers.Callback(hand_over, drop=lambda: hand_over(None)),
                 payload=payload,
                 timeout=timeout_s,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                congestion_control=zenoh.CongestionControl.BLOCK,
+                congestion_control=zenoh.CongestionControl.DROP if is_urgent else zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.REAL_TIME if is_urgent else zenoh.Priority.DATA,
+                express=is_urgent,
             )
 
+        asked = self._loop.run_in_executor(self._urgent if is_urgent else None, ask)
+        return _Query(key=key, timeout_s=timeout_s, asked=asked, replies=replies)
+
+    async def _replies(self, query: "_Query") -> AsyncGenerator[bytes | QueryError, None]:
         try:
-            async with asyncio.timeout(timeout_s + _DEADLINE_SLACK_S):
-                await asyncio.to_thread(ask)
-                while (reply := await replies.get()) is not None:
+            async with asyncio.timeout(query.timeout_s + _DEADLINE_SLACK_S):
+                await query.asked
+                while (reply := await query.replies.get()) is not None:
                     if reply.ok is not None:
                         yield reply.ok.payload.to_bytes()
                     elif reply.err is not None:
-                        raise _query_error(key, reply.err.payload.to_bytes(), timeout_s=timeout_s)
-        except TimeoutError as error:
-            raise _query_error(key, _TIMEOUT_PAYLOAD, timeout_s=timeout_s) from error
+                        yield _query_error(query.key, reply.err.payload.to_bytes(), timeout_s=query.timeout_s)
+        except TimeoutError:
+            yield _query_error(query.key, _TIMEOUT_PAYLOAD, timeout_s=query.timeout_s)
         except zenoh.ZError as error:
-            raise QueryError(key=key, reason=_first_sentence(error), is_timeout=False) from error
+            yield QueryError(key=query.key, reason=_first_sentence(error), is_timeout=False)
 
     def _declare(self) -> None:
         def pattern(stream: Stream, *, node: str | None = None) -> str:
@@ -247,24 +325,23 @@ class Bus:
 
         advanced = [pattern(stream) for stream in _JOURNALED] + [pattern(Stream.STATUS), pattern(Stream.STATUS, node=ANY)]
         for key in advanced:
-            self._declared.append(
-                zenoh.ext.declare_advanced_subscriber(
-                    self._session,
-                    key,
-                    self._on_sample,
-                    history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
-                    recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
-                )
-            )
-        for key in (pattern(Stream.NEIGHBOURS, node=ANY), pattern(Stream.EVENTS)):
-            self._declared.append(self._session.declare_subscriber(key, self._on_sample))
+            self._session.subscribe_advanced(key, self._on_sample)
+        plain = (
+            pattern(Stream.NEIGHBOURS, node=ANY),
+            pattern(Stream.EVENTS),
+            pattern(Stream.STAGES),
+            pattern(Stream.STIMULATION, node=ANY),
+        )
+        for key in plain:
+            self._session.subscribe(key, self._on_sample)
         seen = (
             build_token_key(site=self._site, kind=Kind.GATEWAY, name=ANY),
             build_token_key(site=self._site, kind=Kind.RADIO, name=ANY, radio=ANY),
             build_token_key(site=self._site, kind=Kind.MAPPER, name=ANY),
+            build_token_key(site=self._site, kind=Kind.COMMANDER, name=ANY),
         )
         for key in seen:
-            self._declared.append(self._session.liveliness().declare_subscriber(key, self._on_presence, history=True))
+            self._session.subscribe_tokens(key, self._on_presence)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
@@ -274,7 +351,7 @@ class Bus:
         self._push(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
     def _push(self, key: str, payload: bytes | bool) -> None:  # noqa: FBT001  # the payload of a liveliness sample is its kind
-        size = len(payload) if isinstance(payload, bytes) else 0
+        size = _size(payload)
         with self._lock:
             if isinstance(payload, bytes) and (len(self._inbox) >= _MAX_INBOX_MESSAGES or self._inbox_bytes + size > _MAX_INBOX_BYTES):
                 self.counters["overflow"] += 1
@@ -287,38 +364,18 @@ class Bus:
                 self._loop.call_soon_threadsafe(self._has_arrivals.set)
 
 
-def _decode(key_text: str, payload: bytes | bool) -> Arrival | None:  # noqa: FBT001  # see Bus._push
-    try:
-        if isinstance(payload, bool):
-            return Presence(token=parse_token_key(key_text), is_alive=payload)
-        key = parse_key(key_text)
-        arrival = _decode_payload(key, payload)
-    except (KeyExpressionError, RecordError) as error:
-        _log.debug("bus.unfit", key=key_text, reason=str(error))
-        return None
-    is_about_its_key = arrival.gateway == key.gateway and getattr(arrival, "node", None) == key.node
-    return arrival if is_about_its_key else None
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Query:
+    """A question that is on its way; ``replies`` ends with None."""
+
+    key: str
+    timeout_s: float
+    asked: "asyncio.Future[None]"
+    replies: "asyncio.Queue[zenoh.Reply | None]"
 
 
-def _decode_payload(key: Key, payload: bytes) -> RecordBatch | GatewayStatus | NodeStatus | NeighbourReport | GatewayEvent:
-    match key.stream:
-        case Stream.STATUS if key.node is None:
-            return decode_record(payload, GatewayStatus)
-        case Stream.STATUS:
-            return decode_record(payload, NodeStatus)
-        case Stream.NEIGHBOURS:
-            return decode_record(payload, NeighbourReport)
-        case Stream.EVENTS:
-            return decode_record(payload, GatewayEvent)
-        case _:
-            return decode_record(payload, RecordBatch)
-
-
-def _session_config(*, connect: tuple[str, ...], listen: tuple[str, ...], tls: TlsTable, timing: ZenohTable | None) -> zenoh.Config:
-    config = zenoh.Config()
-    for name, value in session_settings(mode=ROUTER, listen=listen, connect=connect, tls=tls, timing=timing).items():
-        config.insert_json5(name, json.dumps(value))
-    return config
+def _size(payload: bytes | bool) -> int:  # noqa: FBT001  # see Bus._push
+    return len(payload) if isinstance(payload, bytes) else 0
 
 
 def _query_error(key: str, payload: bytes, *, timeout_s: float) -> QueryError:

@@ -18,13 +18,17 @@ MapError
 ├── JobError               a computation failed for a reason that its code did not foresee
 ├── NoMapYetError          no map has been finished yet
 ├── BiobotNotFoundError    no gateway has spoken of this biobot
-├── CommandNotFoundError   no command of this id was sent from here lately
-├── CommandRefusedError    the gateway refused a command
-├── GatewayAwayError       the gateway of a biobot does not answer
+├── CommandNotFoundError   nobody told of a command of this id lately
+├── CommandRefusedError    a command was refused
+├── GatewayAwayError       the gateway that something was given to does not answer
+├── StopUnansweredError    gateways told nothing of a stop
+├── OrderRefusedError      no mission took an order
 └── TooManyError           a limit on what runs at the same time is reached: ask again later
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+from firmware_protocol.contract.commands import Refusal
 
 _SHOWN_FAULTS = 10
 
@@ -203,31 +207,54 @@ class BiobotNotFoundError(MapError):
 
 
 class CommandNotFoundError(MapError):
-    """No command of this id was sent from here lately."""
+    """Nobody told of a command of this id lately."""
 
     def __init__(self, *, command_id: str, kept: int) -> None:
-        super().__init__(f"no command has id {command_id!r}; the newest {kept} sent from here since the start are kept")
+        super().__init__(f"no command has id {command_id!r}; of those since the start, the newest {kept} are kept")
         self.command_id = command_id
 
 
 class CommandRefusedError(MapError):
-    """The gateway refused a command; the biobot got nothing."""
+    """A command was refused; the biobot got nothing. ``refusal`` is why, for programs; None: it did not say."""
 
-    def __init__(self, *, command_id: str, reason: str) -> None:
-        super().__init__(f"the gateway refused the command: {reason or 'it gave no reason'}")
+    def __init__(self, *, command_id: str, reason: str, refusal: Refusal | None = None) -> None:
+        super().__init__(f"the command was refused: {reason or 'the gateway gave no reason'}")
         self.command_id = command_id
         self.reason = reason
+        self.refusal = refusal
 
 
 class GatewayAwayError(MapError):
-    """The gateway of a biobot does not answer, so the command did not reach it."""
+    """A gateway does not answer, or (None) none does, so a command or an order did not reach it."""
 
-    def __init__(self, *, command_id: str, gateway: str) -> None:
-        super().__init__(
-            f"gateway {gateway!r} does not answer; the command was not delivered; see whether the gateway runs and is connected"
-        )
+    def __init__(self, *, command_id: str, gateway: str | None, reason: str | None = None) -> None:
+        who = "no gateway answers" if gateway is None else f"gateway {gateway!r} does not answer"
+        why = "" if reason is None else f" ({reason})"
+        super().__init__(f"{who}{why}; what was given to it was not delivered; see whether the gateway runs and is connected")
         self.command_id = command_id
         self.gateway = gateway
+
+
+class StopUnansweredError(MapError):
+    """Gateways told nothing of a stop, or none is there: their biobots may walk on. ``facts`` is what is known of it, for programs."""
+
+    def __init__(self, *, stop_id: str, gateways: Sequence[str], facts: Mapping[str, object]) -> None:
+        who = f"no answer yet from gateway {', '.join(map(repr, gateways))}" if gateways else "no gateway is on the bus"
+        super().__init__(
+            f"{who}: biobots there may walk on; repeat the stop under the id {stop_id!r}, and look at the gateways and the animals"
+        )
+        self.stop_id = stop_id
+        self.gateways = tuple(gateways)
+        self.facts = dict(facts)
+
+
+class OrderRefusedError(MapError):
+    """No mission took an order; ``answers`` are gateways and their reasons."""
+
+    def __init__(self, *, order_id: str, answers: Sequence[tuple[str, str]]) -> None:
+        super().__init__("the order was refused: " + "; ".join(f"{gateway}: {reason or 'no reason given'}" for gateway, reason in answers))
+        self.order_id = order_id
+        self.answers = tuple(answers)
 
 
 class TooManyError(MapError):

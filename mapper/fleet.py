@@ -70,6 +70,7 @@ class Fleet:
     events: deque[GatewayEvent] = field(default_factory=lambda: deque(maxlen=_KEPT_EVENTS))
     n_ignored: int = 0
     _mappers: set[str] = field(default_factory=set)
+    _commanders: set[str] = field(default_factory=set)
     _gateways: dict[str, _Gateway] = field(default_factory=dict)
     _nodes: dict[NodeId, NodeStatus] = field(default_factory=dict)
     _modes: dict[NodeId, ModeRecord] = field(default_factory=dict)
@@ -84,9 +85,10 @@ class Fleet:
             gateway.status, gateway.heard_ns = status, now_ns
 
     def take_presence(self, token: Token, *, is_alive: bool, now_ns: int) -> None:
-        """Note that a gateway, a radio or a mapper came to the bus or left it; ``now_ns`` is monotonic."""
-        if token.kind is Kind.MAPPER:
-            self._take_member(self._mappers, token.name, is_there=is_alive, limit=_MAX_GATEWAYS)
+        """Note that a gateway, a radio, a mapper or a commander came to the bus or left it; ``now_ns`` is monotonic."""
+        members = {Kind.MAPPER: self._mappers, Kind.COMMANDER: self._commanders}.get(token.kind)
+        if members is not None:
+            self._take_member(members, token.name, is_there=is_alive, limit=_MAX_GATEWAYS)
             return
         known = self._gateway(token.name)
         if known is None:
@@ -134,6 +136,19 @@ class Fleet:
             GatewayView(name=name, is_alive=_is_alive(known, now_ns), status=known.status, radios_up=tuple(sorted(known.radios_up)))
             for name, known in sorted(self._gateways.items())
         ]
+
+    def gateways_heard(self) -> list[str]:
+        """Name all gateways that were on the bus since the start: what is for all of a site is for each of them."""
+        return sorted(self._gateways)
+
+    def is_on_bus(self, gateway: str) -> bool:
+        """Say whether a gateway's token is there."""
+        known = self._gateways.get(gateway)
+        return known is not None and known.has_token
+
+    def commanders(self) -> list[str]:
+        """List the commanders on the bus by name: whoever may move biobots until it is gone."""
+        return sorted(self._commanders)
 
     def mappers(self) -> list[str]:
         """List the mappers on the bus by name, this one among them."""

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
+from firmware_protocol.contract.commands import CommandStage, StimulationAccount
 from firmware_protocol.contract.presence import Kind
 from firmware_protocol.contract.records import (
     GatewayEvent,
@@ -17,11 +18,14 @@ from firmware_protocol.contract.records import (
     NodeStatus,
     RecordBatch,
 )
-from mapper.bus import Arrival, Bus, Presence
+from mapper.arrivals import Arrival, Presence
+from mapper.bus import Bus
 from mapper.changes import Changes, Topic
+from mapper.command_log import CommandLog
 from mapper.errors import QueryError, StoreError
 from mapper.fleet import Fleet
 from mapper.log import EventLog
+from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store import Applied, Store
 from mapper.store_thread import StoreThread
 
@@ -47,14 +51,23 @@ class _Journal:
 
 
 class Intake:
-    """Keeps store and fleet in step with the bus.
+    """Keeps store, fleet, commands and accounts in step with the bus.
 
     ``counters``: records ``new``, ``revised``, ``repeated``, ``unfit``; ``repaired`` ones that history brought;
     ``given_up`` offsets that a gateway does not have itself; ``expired`` ones that it has dropped of age or for want of room before
     they were here; ``store_faults`` writes that failed (history repeats them).
     """
 
-    def __init__(self, *, bus: Bus, records: StoreThread, fleet: Fleet, changes: Changes) -> None:
+    def __init__(
+        self,
+        *,
+        bus: Bus,
+        records: StoreThread,
+        fleet: Fleet,
+        changes: Changes,
+        commands: CommandLog,
+        accounts: StimulationAccounts,
+    ) -> None:
         self.counters: Counter[str] = Counter()
         self.store_fault: str | None = None
         self.losses: dict[tuple[str, str], str] = {}
@@ -64,6 +77,8 @@ class Intake:
         self._records = records
         self._fleet = fleet
         self._changes = changes
+        self._commands = commands
+        self._accounts = accounts
         self._journals: dict[str, _Journal] = {}
         self._waits: dict[str, asyncio.Timeout] = {}
 
@@ -86,31 +101,36 @@ class Intake:
                 case RecordBatch():
                     batches.append(arrival)
                     self._note_head(arrival)
-                case GatewayStatus():
-                    self._note_head(arrival)
-                    self._fleet.take_gateway_status(arrival, now_ns=time.monotonic_ns())
-                    has_news = True
-                case NodeStatus():
-                    self._fleet.take_node_status(arrival)
-                    has_news = True
-                case NeighbourReport():
-                    self._fleet.take_neighbours(arrival)
-                    has_news = True
-                case GatewayEvent():
-                    self._fleet.events.append(arrival)
-                    has_news = True
-                case Presence():
-                    token, verb = arrival.token, "on_the_bus" if arrival.is_alive else "left_the_bus"
-                    facts = {"name": token.name} if token.radio is None else {"gateway": token.name, "radio": token.radio}
-                    _log.info(f"{token.kind.name.lower()}.{verb}", **facts)
-                    self._fleet.take_presence(token, is_alive=arrival.is_alive, now_ns=time.monotonic_ns())
-                    if token.kind is Kind.GATEWAY and arrival.is_alive and token.name in self._waits:
-                        self._waits.pop(token.name).reschedule(asyncio.get_running_loop().time())
+                case CommandStage():
+                    self._commands.take(arrival)
+                case _:
+                    self._note(arrival)
                     has_news = True
         if has_news:
             self._changes.bump(Topic.BIOBOTS)
         if batches:
             await self._apply(batches)
+
+    def _note(self, arrival: GatewayStatus | NodeStatus | NeighbourReport | GatewayEvent | StimulationAccount | Presence) -> None:
+        match arrival:
+            case GatewayStatus():
+                self._note_head(arrival)
+                self._fleet.take_gateway_status(arrival, now_ns=time.monotonic_ns())
+            case NodeStatus():
+                self._fleet.take_node_status(arrival)
+            case NeighbourReport():
+                self._fleet.take_neighbours(arrival)
+            case GatewayEvent():
+                self._fleet.events.append(arrival)
+            case StimulationAccount():
+                self._accounts.take(arrival)
+            case Presence():
+                token, verb = arrival.token, "on_the_bus" if arrival.is_alive else "left_the_bus"
+                facts = {"name": token.name} if token.radio is None else {"gateway": token.name, "radio": token.radio}
+                _log.info(f"{token.kind.name.lower()}.{verb}", **facts)
+                self._fleet.take_presence(token, is_alive=arrival.is_alive, now_ns=time.monotonic_ns())
+                if token.kind is Kind.GATEWAY and arrival.is_alive and token.name in self._waits:
+                    self._waits.pop(token.name).reschedule(asyncio.get_running_loop().time())
 
     async def _write(self, writing: Awaitable[_ResultT]) -> _ResultT | None:
         """Wait until the store has written something; None where it could not, which is a fault until it has written again."""

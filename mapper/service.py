@@ -23,18 +23,23 @@ from mapper.api.event_stream import EventStream
 from mapper.api.services import Engines, Services
 from mapper.bus import Bus
 from mapper.changes import Changes
+from mapper.command_log import CommandLog
+from mapper.commander import Commander
 from mapper.commands import CommandDesk
 from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
 from mapper.connection import ConnectionWatch
 from mapper.current_map import CurrentMap
+from mapper.emergency_stop import EmergencyStop
 from mapper.errors import EngineMissingError, ListenError, MapError, OutputFileError
 from mapper.fleet import Fleet
 from mapper.intake import Intake
 from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
+from mapper.mission_orders import MissionDesk
 from mapper.rips_engines import name_engine
 from mapper.service_checks import check_service
 from mapper.service_manager import ServiceManager
+from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store_thread import StoreThread
 from mapper.tls_files import check_tls_files
 from mapper.types import Method, MetricKind
@@ -133,9 +138,11 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         stack.push_async_callback(bus.aclose)
         watch = ConnectionWatch(is_connected=lambda: bus.is_connected, connect=serve.connect, tls=config.tls, facts=facts)
         changes, fleet = Changes(), Fleet()
-        intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes)
+        log, accounts = CommandLog(changes=changes), StimulationAccounts()
+        intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=log, accounts=accounts)
         watermarks = Watermarks(bus=bus, records=records, name=name)
-        desk = CommandDesk(bus=bus, fleet=fleet, changes=changes)
+        commander = Commander(bus=bus, name=name)
+        desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
         current_map = CurrentMap(
             records=records,
             recipe=make_recipe(config.recipe),
@@ -147,7 +154,11 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         await current_map.restore()
 
         def counters() -> Mapping[str, int]:
-            return {**intake.counters, **{f"bus_{name}": number for name, number in bus.counters.items()}, "ignored": fleet.n_ignored}
+            return {
+                **intake.counters,
+                **{f"bus_{name}": number for name, number in bus.counters.items()},
+                "ignored": fleet.n_ignored + accounts.n_ignored,
+            }
 
         def faults() -> list[str]:
             found = [*([] if intake.store_fault is None else [intake.store_fault]), *intake.losses.values(), *current_map.faults]
@@ -158,6 +169,9 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             fleet=fleet,
             current_map=current_map,
             commands=desk,
+            emergency_stop=EmergencyStop(desk),
+            mission=MissionDesk(bus=bus),
+            accounts=accounts,
             changes=changes,
             is_connected=lambda: bus.is_connected,
             counters=counters,
@@ -168,7 +182,8 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         server = _Server(_server_config(services, stream, serve))
         stack.enter_context(_signals_set(stopping))
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(part.run(), name=type(part).__name__) for part in (intake, desk, current_map, watermarks, watch)]
+            parts = (intake, desk, commander, current_map, watermarks, watch)
+            tasks = [group.create_task(part.run(), name=type(part).__name__) for part in parts]
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
             group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")
             tasks.append(group.create_task(manager.watch(), name="watchdog"))
@@ -177,7 +192,10 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             manager.stopping()
             stream.close()
             server.should_exit = True
+            # First of all: clients that wait for an answer may hold the server up.
+            await desk.release()
             await serving
+            await commander.resign()
             for task in tasks:
                 task.cancel()
     _log.info("mapper.stopped")

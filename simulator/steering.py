@@ -22,7 +22,7 @@ class ExecutedActuation:
     Parameters
     ----------
     command, action
-        The command and what it asked for; None where a hold was over.
+        The command and what it asked for; None where a hold was over: of a stop, or (mode S) of a start or turn.
     mode, cause
         The insect's mode after it, and who decided on it.
     responded
@@ -86,8 +86,7 @@ class Steering:
     def actuate(self, node: NodeId, actuation: Actuation, *, now_ns: int) -> None:
         """Do to an insect what its backpack decided on; what it responds with comes later, by ``react``."""
         cause = _CAUSE[actuation.cause]
-        if actuation.command is not None or actuation.mode is not None:  # the mere end of a hold wakes nobody and stops no response
-            self._forget_reaction(node)
+        self._forget_reaction(node)
         if actuation.mode is WireMode.S:
             self._held.add(node)
             self._world.stop(node, cause=cause)

@@ -21,8 +21,10 @@ from gateway.journal import Journal
 from gateway.journal_file import Committed, JournalWrite
 from mapper.bus import Bus as MapperBus
 from mapper.changes import Changes
+from mapper.command_log import CommandLog
 from mapper.fleet import Fleet
 from mapper.intake import Intake
+from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store_thread import StoreThread
 
 SITE = "cut"
@@ -79,7 +81,9 @@ async def _publish(endpoint: str, file: TextIO, *, journal_path: Path, period_s:
 async def _subscribe(endpoint: str, file: TextIO, *, journal: str) -> None:
     bus = await MapperBus.open(site=SITE, connect=(endpoint,), listen=())
     records = await StoreThread.open(None)
-    intake = Intake(bus=bus, records=records, fleet=Fleet(), changes=Changes())
+    changes = Changes()
+    commands, accounts = CommandLog(changes=changes), StimulationAccounts()
+    intake = Intake(bus=bus, records=records, fleet=Fleet(), changes=changes, commands=commands, accounts=accounts)
     async with asyncio.TaskGroup() as group:
         group.create_task(intake.run())
         print("up", flush=True)

@@ -13,7 +13,8 @@ from pathlib import Path
 from firmware_protocol.contract.commands import CommandStage, Stage, StimulationRequest
 from firmware_protocol.contract.records import GatewayStatus
 from firmware_protocol.units import Nanoseconds
-from gateway.bus import Bus, CommandAnswer
+from gateway.bus import Bus
+from gateway.bus_commands import CommandAnswer
 from gateway.config import GatewayConfig
 from gateway.health import Health
 from gateway.journal import Journal

@@ -18,8 +18,10 @@ import numpy as np
 
 from mapper.bus import Bus
 from mapper.changes import Changes
+from mapper.command_log import CommandLog
 from mapper.fleet import Fleet
 from mapper.intake import Intake
+from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store_thread import StoreThread
 
 
@@ -67,7 +69,9 @@ async def _serve(options: argparse.Namespace) -> None:
     records = await StoreThread.open(options.store)
     bus = await Bus.open(site="local", connect=(options.endpoint,), listen=())
     fleet = Fleet()
-    intake = Intake(bus=bus, records=records, fleet=fleet, changes=Changes())
+    changes = Changes()
+    commands, accounts = CommandLog(changes=changes), StimulationAccounts()
+    intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=commands, accounts=accounts)
     watch = ProgressWatch(records, pause_s=options.pause_ms / 1000)
     running = asyncio.ensure_future(intake.run())
     _say({"ready": True})

@@ -8,6 +8,7 @@
 #define MAX_DOUBLINGS 5u /* 1 s << 5 is beyond 30 s */
 #define MAX_SPREAD_MS 1000u /* a broadcast is answered within this */
 #define COMMAND_PENDING 0xFFu
+#define ACTION_STOP 2u /* of a Stimulate (section 6.5) */
 #define SENT_AT 8u     /* of sent_ms in a payload (WIRE_FORMAT.md section 5.1) */
 #define COMMAND_AT 12u /* of command in a StimulateReply (section 5.7) */
 
@@ -166,6 +167,7 @@ void bb_backpack_start(struct bb_backpack *backpack, uint16_t node, uint16_t boo
     backpack->n_commands = 0;
     backpack->next_command = 0;
     backpack->is_sync_owed = false;
+    backpack->is_spread = false;
     backpack->is_hello_told = false;
     backpack->answer_at_ms = now_ms;
     for (i = 0; i < BB_BACKPACK_SLOTS; i++) {
@@ -226,8 +228,8 @@ static struct bb_backpack_command *find_command(struct bb_backpack *backpack, ui
     return 0;
 }
 
-/* Whether an answer to the command is under way; it goes now. */
-static bool repeat_answer(struct bb_backpack *backpack, uint32_t command, uint32_t now_ms)
+/* Whether an answer to the command is under way; it goes at this instant, if it would not go sooner. */
+static bool repeat_answer(struct bb_backpack *backpack, uint32_t command, uint32_t at_ms)
 {
     uint8_t i;
     for (i = 0; i < BB_BACKPACK_SLOTS; i++) {
@@ -236,18 +238,28 @@ static bool repeat_answer(struct bb_backpack *backpack, uint32_t command, uint32
         if (slot->length != 0u && slot->payload[0] == BB_TYPE_STIMULATE_REPLY && at[0] == (uint8_t)(command & 0xFFu)
             && at[1] == (uint8_t)(command >> 8 & 0xFFu) && at[2] == (uint8_t)(command >> 16 & 0xFFu)
             && at[3] == (uint8_t)(command >> 24)) {
-            slot->due_ms = now_ms;
+            if (!is_due(slot->due_ms, at_ms)) {
+                slot->due_ms = at_ms;
+            }
             return true;
         }
     }
     return false;
 }
 
+/* When an answer to a command goes: one to a broadcast may be waiting for its random instant. */
+static uint32_t command_answer_at(const struct bb_backpack *backpack, uint32_t command, uint32_t now_ms)
+{
+    bool is_waiting = backpack->is_spread && command == backpack->spread_command && backpack->spread_until_ms - now_ms <= MAX_SPREAD_MS;
+    return is_waiting ? backpack->spread_until_ms : now_ms;
+}
+
 /* Number and keep the answer to a command; one that is under way is not said twice. */
 static bool keep_answer(struct bb_backpack *backpack, const struct bb_backpack_command *command, uint8_t result, uint32_t now_ms)
 {
     struct bb_uplink message;
-    if (repeat_answer(backpack, command->command, now_ms)) {
+    uint32_t at_ms = command_answer_at(backpack, command->command, now_ms);
+    if (repeat_answer(backpack, command->command, at_ms)) {
         return true;
     }
     message.header.type = BB_TYPE_STIMULATE_REPLY;
@@ -255,7 +267,7 @@ static bool keep_answer(struct bb_backpack *backpack, const struct bb_backpack_c
     message.body.stimulate_reply.result = result;
     message.body.stimulate_reply.executed_ms = command->executed_ms;
     message.body.stimulate_reply.mode = command->mode;
-    return keep(backpack, &message, now_ms);
+    return keep(backpack, &message, at_ms);
 }
 
 static void keep_what_is_owed(struct bb_backpack *backpack, uint32_t now_ms)
@@ -384,6 +396,15 @@ bool bb_backpack_receive(struct bb_backpack *backpack, const uint8_t *payload, u
         backpack->is_sync_owed = true;
         return false;
     case BB_TYPE_STIMULATE:
+        if (is_broadcast && message->body.stimulate.action != ACTION_STOP) {
+            backpack->n_ignored++; /* a train for everybody is nobody's wish */
+            return false;
+        }
+        if (is_broadcast || (backpack->is_spread && backpack->spread_command == message->body.stimulate.command)) {
+            backpack->spread_command = message->body.stimulate.command;
+            backpack->spread_until_ms = now_ms + spread_ms; /* asked again by itself alone, it is answered at once */
+            backpack->is_spread = true;
+        }
         return take_command(backpack, message->body.stimulate.command, now_ms);
     default: /* Configure, ConfigurationRequest */
         backpack->answer_at_ms = now_ms + spread_ms;

@@ -52,6 +52,8 @@ struct bb_backpack {
     uint16_t hello_sequence; /* number of the Hello that says what hello does */
     uint16_t sync_token;
     uint32_t sync_received_ms;
+    uint32_t spread_command; /* the last stop that came by broadcast */
+    uint32_t spread_until_ms; /* and before when it is not answered */
     uint32_t answer_at_ms; /* no answer to the last request for a Hello or a ConfigurationReport goes before this */
     uint16_t n_ignored; /* payloads that were no message for this backpack; modulo 2^16 */
     uint8_t n_commands; /* remembered; the oldest is overwritten */
@@ -60,6 +62,7 @@ struct bb_backpack {
     bool is_hello_owed;
     bool is_hello_told; /* hello_sequence means something */
     bool is_limits_owed;
+    bool is_spread; /* spread_command means something */
     struct bb_backpack_slot slots[BB_BACKPACK_SLOTS];
     struct bb_backpack_command commands[BB_BACKPACK_COMMANDS];
 };
@@ -83,7 +86,7 @@ uint8_t bb_backpack_next(struct bb_backpack *backpack, uint32_t now_ms, uint16_t
 
 /* Take a payload from the radio. True: message is a Stimulate that was not heard before, a Configure or a ConfigurationRequest, and the owner
  * owes it an answer: bb_backpack_answer, or a ConfigurationReport at once. is_broadcast: it was sent to all; what answers it then goes after a
- * random wait, whenever it is reported. chance: 16 random bits, others than bb_backpack_next had. */
+ * random wait, whenever it is reported, and of Stimulates only a stop is taken. chance: 16 random bits, others than bb_backpack_next had. */
 bool bb_backpack_receive(struct bb_backpack *backpack, const uint8_t *payload, uint8_t length, bool is_broadcast, uint32_t now_ms,
                          uint16_t chance, struct bb_downlink *message);
 

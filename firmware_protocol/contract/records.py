@@ -210,6 +210,9 @@ class GatewayStatus(Struct, frozen=True, kw_only=True):
     """What is wrong, in words; a person may have to act."""
     missing: tuple[str, ...] = ()
     """What it waits for until it is of use: a radio, a router."""
+    audit_rows: _Count = 0
+    audit_head: str = ""
+    """Rows that its audit log ever had, and the newest one's hash, hexadecimal: whoever notes both sees later whether it was cut."""
 
 
 class Watermark(Struct, frozen=True, kw_only=True):

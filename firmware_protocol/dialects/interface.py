@@ -139,12 +139,16 @@ class Host(Protocol):
         """Wait no more for what became of a payload; one that was not written yet is not sent."""
         ...
 
+    def withdraw(self, ticket: int) -> bool:
+        """Take back a payload that ``take_frames`` has not handed out: its ticket has no end then. False: it was, or nobody knows it."""
+        ...
+
     def confirm(self, receipt: int) -> None:
         """Say that all payloads heard up to and including ``receipt`` are safe on disk."""
         ...
 
-    def take_frames(self) -> list[bytes]:
-        """Return what is to be written, frame by frame as it goes on the line; each is handed out once."""
+    def take_frames(self, *, at_most: int | None = None) -> list[bytes]:
+        """Return what is to be written, all or so much, frame by frame as it goes on the line; each is handed out once."""
         ...
 
     def next_deadline_ns(self) -> int | None:

@@ -136,18 +136,25 @@ class NativeHost:
         for handle in [handle for handle, pending in self._pending.items() if pending == ticket]:
             del self._pending[handle]
 
+    def withdraw(self, ticket: int) -> bool:
+        """Take back a payload that was not handed out; see ``Host.withdraw``."""
+        if not self._link.cancel(ticket):
+            return False
+        self.forget(ticket)
+        return True
+
     def confirm(self, receipt: int) -> None:
         """Let the dongle forget all payloads up to and including ``receipt``."""
         while self._unconfirmed and self._unconfirmed[0] <= receipt:
             self._unconfirmed.popleft()
 
-    def take_frames(self) -> list[bytes]:
-        """Return what is to be written; all that was confirmed since the last call shares one ACK."""
+    def take_frames(self, *, at_most: int | None = None) -> list[bytes]:
+        """Return what is to be written; see ``Host.take_frames``. All that was confirmed since the last call shares one ACK."""
         safe = self._unconfirmed[0] - 1 if self._unconfirmed else self._newest_receipt
         if safe > self._confirmed_receipt:
             self._confirmed_receipt = safe
             self._link.confirm(safe)
-        return [self._framing.encode(body) for body in self._link.take_frames()]
+        return [self._framing.encode(body) for body in self._link.take_frames(at_most=at_most)]
 
     def next_deadline_ns(self) -> int | None:
         """Return when ``handle_deadline`` must be called."""

@@ -4,11 +4,10 @@ Radio payloads are RF data, as they are. An XBee acknowledges nothing to its hos
 is lost, and the backpack, which gets no Acknowledge, says it again. ``confirm`` therefore does nothing.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass
 
 from firmware_protocol.dialects.interface import (
-    CoordinatorIdentified,
     CoordinatorSaid,
     HostEvent,
     HostLost,
@@ -21,7 +20,6 @@ from firmware_protocol.dialects.interface import (
 from firmware_protocol.dialects.xbee_addresses import AddressTable
 from firmware_protocol.dialects.xbee_frames import (
     AT_OK,
-    UNKNOWN16,
     ZDO_PROFILE,
     AtCommand,
     AtResponse,
@@ -35,6 +33,7 @@ from firmware_protocol.dialects.xbee_frames import (
     decode_xbee,
     encode_xbee,
 )
+from firmware_protocol.dialects.xbee_identity import DEFAULT_LONGEST, has_short_addresses, identify
 from firmware_protocol.dialects.xbee_meanings import (
     ASSOCIATED,
     DELIVERY,
@@ -45,11 +44,10 @@ from firmware_protocol.dialects.xbee_meanings import (
     RESTARTS,
     Happening,
     describe_association,
-    describe_product,
 )
-from firmware_protocol.dialects.xbee_opening import AT_FRAME_ID, Answers, Opening, Stage
+from firmware_protocol.dialects.xbee_opening import AT_FRAME_ID, Opening, Stage
 from firmware_protocol.dialects.xbee_sending import Sendings
-from firmware_protocol.envelope import CoordinatorHello, RadioReceived, RadioStatus
+from firmware_protocol.envelope import RadioReceived, RadioStatus
 from firmware_protocol.errors import EncodeError
 from firmware_protocol.framing.interface import FrameDecoder, FrameFault
 from firmware_protocol.framing.xbee import encode_frame, make_decoder
@@ -57,8 +55,6 @@ from firmware_protocol.messages import MAX_RADIO_PAYLOAD
 from firmware_protocol.units import NS_PER_S, RSSI_UNKNOWN, RssiDbm, ShortAddress
 
 _LQI_UNKNOWN = 0
-_DEFAULT_LONGEST = 84
-"""RF data of a ZigBee unicast without APS security, where the module does not tell by ``NP``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,6 +101,9 @@ class XBeeHost:
         self._is_escaped = True
         self._decoder: FrameDecoder = make_decoder(is_escaped=True)
         self._frames: list[bytes] = []
+        self._launched: deque[tuple[int, bytes]] = deque()
+        """Frame id and frame of each payload that was launched and waits to be handed out; urgent ones first."""
+        self._n_urgent_launched = 0
         self._sendings = Sendings(first_id=first_handle)
         self._unreachable: list[int] = []
         """Tickets of payloads for addresses that nobody can have, not yet settled."""
@@ -159,23 +158,40 @@ class XBeeHost:
 
     def forget(self, ticket: int) -> None:
         """Wait no more for what became of a payload; one that was not written yet is not sent."""
+        if self.withdraw(ticket):
+            return
         self._sendings.forget(ticket)
         if ticket in self._unreachable:
             self._unreachable.remove(ticket)
 
+    def withdraw(self, ticket: int) -> bool:
+        """Take back a payload that was not handed out; see ``Host.withdraw``."""
+        if self._sendings.take_back(ticket):
+            return True
+        for index, (frame_id, _) in enumerate(self._launched):
+            if self._sendings.is_of(frame_id, ticket=ticket):
+                del self._launched[index]
+                self._n_urgent_launched -= index < self._n_urgent_launched
+                self._sendings.settle(frame_id)
+                return True
+        return False
+
     def confirm(self, receipt: int) -> None:
         """Do nothing: the dialect has no acknowledgement towards the module."""
 
-    def take_frames(self) -> list[bytes]:
-        """Return what is to be written, frame by frame."""
-        frames, self._frames = self._frames, []
-        return frames
+    def take_frames(self, *, at_most: int | None = None) -> list[bytes]:
+        """Return what is to be written; see ``Host.take_frames``."""
+        limit = len(self._frames) + len(self._launched) if at_most is None else at_most
+        frames, self._frames = self._frames[:limit], self._frames[limit:]
+        launched = [self._launched.popleft()[1] for _ in range(min(limit - len(frames), len(self._launched)))]
+        self._n_urgent_launched = max(0, self._n_urgent_launched - len(launched))
+        return frames + launched
 
     def next_deadline_ns(self) -> int | None:
         """Return when ``handle_deadline`` must be called."""
         opening_ns = None if self._opening is None else self._opening.deadline_ns
         status_ns = self._sendings.next_deadline_ns() if self._is_open else None
-        unreachable_ns = 0 if self._unreachable else None
+        unreachable_ns = 0 if self._unreachable or (self._is_open and self._sendings.is_ready) else None
         return min((at for at in (opening_ns, self._ask_at_ns, status_ns, unreachable_ns) if at is not None), default=None)
 
     def handle_deadline(self, *, now_ns: int) -> list[HostEvent]:
@@ -219,7 +235,7 @@ class XBeeHost:
         self._heard(now_ns)
         self._table.has_short_addresses = has_short_addresses(opening.answers)
         events: list[HostEvent] = [HostOpened(), identify(opening.answers)]
-        longest = opening.answers.number("NP", default=_DEFAULT_LONGEST)
+        longest = opening.answers.number("NP", default=DEFAULT_LONGEST)
         if longest < MAX_RADIO_PAYLOAD:
             text = (
                 f"it carries {longest} bytes (NP), our longest messages have {MAX_RADIO_PAYLOAD}; switch source routing or APS security off"
@@ -313,14 +329,19 @@ class XBeeHost:
             request = TransmitRequest(
                 frame_id=frame_id, destination64=where[0], destination16=where[1], payload=sending.payload, endpoints=self._config.endpoints
             )
-            self._write(request)
+            frame = encode_frame(encode_xbee(request), is_escaped=self._is_escaped)
+            if sending.is_urgent:
+                self._launched.insert(self._n_urgent_launched, (frame_id, frame))
+                self._n_urgent_launched += 1
+            else:
+                self._launched.append((frame_id, frame))
 
     def _settle_unreachable(self) -> list[HostEvent]:
         events: list[HostEvent] = [SendSettled(ticket=ticket, status=RadioStatus.UNKNOWN_ADDRESS) for ticket in self._unreachable]
         self._unreachable.clear()
         return events
 
-    def _write(self, frame: AtCommand | TransmitRequest) -> None:
+    def _write(self, frame: AtCommand) -> None:
         self._frames.append(encode_frame(encode_xbee(frame), is_escaped=self._is_escaped))
 
     def _heard(self, now_ns: int) -> None:
@@ -328,7 +349,7 @@ class XBeeHost:
         self._ask_at_ns = min(now_ns + self._config.keepalive_ns, self._check_at_ns)
 
     def _ask_soon(self, now_ns: int) -> None:
-        """Ask for the network at the next deadline, where it was not asked just now: frames that are heard do not put it off."""
+        """Ask for the network at the next deadline, where it was not asked just now."""
         self._check_at_ns = min(self._check_at_ns, max(now_ns, self._asked_ns + self._config.strike_ns))
         if self._ask_at_ns is not None:
             self._ask_at_ns = min(self._ask_at_ns, self._check_at_ns)
@@ -344,32 +365,7 @@ class XBeeHost:
         self._is_open = False
         self._is_escaped = True
         self._frames.clear()
+        self._launched.clear()
+        self._n_urgent_launched = 0
         self._ask_at_ns = None
         self._n_strikes = 0
-
-
-def has_short_addresses(answers: Answers) -> bool:
-    """Return whether the protocol of a module's network has them: ZigBee does, which ``OI`` tells, and 802.15.4 where ``MY`` is one."""
-    return "OI" in answers.values or answers.number("MY", default=UNKNOWN16) < UNKNOWN16
-
-
-def identify(answers: Answers) -> CoordinatorIdentified:
-    """Return who a module says it is."""
-    firmware, hardware = answers.number("VR", default=0), answers.number("HV", default=0)
-    # OI is the 16-bit PAN id in use; protocols that have none call by ID alone, whose low half is then what is on the air.
-    pan_id = answers.number("OI", default=answers.number("ID", default=0) & 0xFFFF)
-    hello = CoordinatorHello(
-        firmware=firmware & 0xFFFF,
-        eui64=answers.number("SH", default=0) << 32 | answers.number("SL", default=0),
-        pan_id=pan_id & 0xFFFF,
-        channel=answers.number("CH", default=0) & 0xFF,
-        max_radio_payload=min(answers.number("NP", default=_DEFAULT_LONGEST), 0xFF),
-    )
-    name = answers.values.get("NI", b"").decode("utf-8", "replace").strip()
-    role = "coordinator" if answers.number("CE", default=0) else "router or end device"
-    mode = 2 if answers.is_escaped else 1
-    kind = describe_product(hardware)
-    called = f' "{name}"' if name else ""
-    address = "" if answers.number("MY", default=UNKNOWN16) == UNKNOWN16 else f" at 0x{answers.number('MY', default=0):04X}"
-    text = f"{kind}{called}, firmware {firmware:X}, hardware {hardware:04X}, {role}{address}, API mode {mode}"
-    return CoordinatorIdentified(hello=hello, description=text)

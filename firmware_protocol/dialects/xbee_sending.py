@@ -69,16 +69,18 @@ class Sendings:
         (self._urgent if is_urgent else self._waiting).append(sending)
         return ticket
 
+    @property
+    def is_ready(self) -> bool:
+        """Whether ``take`` gives one."""
+        if not (self._urgent or self._waiting) or len(self._in_flight) >= _N_IDS:
+            return False
+        return bool(self._urgent) or sum(not entry.is_forgotten for entry in self._in_flight.values()) < WINDOW
+
     def take(self) -> Sending | None:
         """Return the payload that may go to the module now, or None; the caller launches it, or settles it himself."""
-        n_flying = sum(not entry.is_forgotten for entry in self._in_flight.values())
-        if len(self._in_flight) >= _N_IDS:
+        if not self.is_ready:
             return None
-        if self._urgent:
-            return self._urgent.popleft()
-        if self._waiting and n_flying < WINDOW:
-            return self._waiting.popleft()
-        return None
+        return (self._urgent or self._waiting).popleft()
 
     def launch(self, sending: Sending, *, eui64: int, now_ns: int) -> int:
         """Note that a payload which was taken goes to the module, for the node of this 64-bit address; return its frame id."""
@@ -92,15 +94,24 @@ class Sendings:
         return None if entry is None or entry.is_forgotten else (entry.sending, entry.eui64)
 
     def forget(self, ticket: int) -> None:
-        """Wait no more for a ticket. In flight, its frame id stays taken until the status comes or is overdue, its place does not."""
+        """Wait no more for a ticket in flight: its frame id stays taken until the status comes or is overdue, its place does not."""
+        for entry in self._in_flight.values():
+            if entry.sending.ticket == ticket:
+                entry.is_forgotten = True
+
+    def take_back(self, ticket: int) -> bool:
+        """Take back a payload that was not taken; return whether it was not."""
         for queue in (self._urgent, self._waiting):
             for sending in queue:
                 if sending.ticket == ticket:
                     queue.remove(sending)
-                    return
-        for entry in self._in_flight.values():
-            if entry.sending.ticket == ticket:
-                entry.is_forgotten = True
+                    return True
+        return False
+
+    def is_of(self, frame_id: int, *, ticket: int) -> bool:
+        """Return whether a frame id in flight is that of a ticket."""
+        entry = self._in_flight.get(frame_id)
+        return entry is not None and entry.sending.ticket == ticket
 
     def give_up(self, *, now_ns: int) -> list[int]:
         """Return the tickets whose status is overdue; they are waited for no longer."""

@@ -132,20 +132,29 @@ class ZnpHost:
         """Queue a radio payload; see ``Host.send``."""
         if len(payload) > MAX_RADIO_PAYLOAD:
             raise EncodeError(field="radio payload size", value=len(payload), limit=f"at most {MAX_RADIO_PAYLOAD} bytes")
+        if is_urgent:
+            self._take_back_unwritten()
         ticket = self._window.add(destination=destination, payload=payload, is_urgent=is_urgent)
         self._write_next(now_ns)
         return ticket
 
     def forget(self, ticket: int) -> None:
         """Wait no more for what became of a payload; one that was not written yet is not sent."""
-        self._window.forget(ticket)
+        if not self.withdraw(ticket):
+            self._window.forget(ticket)
+
+    def withdraw(self, ticket: int) -> bool:
+        """Take back a payload that was not handed out; see ``Host.withdraw``."""
+        self._take_back_unwritten()
+        return self._window.withdraw(ticket)
 
     def confirm(self, receipt: int) -> None:
         """Do nothing: the dongle keeps no payload after it has handed it over."""
 
-    def take_frames(self) -> list[bytes]:
-        """Return what is to be written."""
-        frames, self._frames = self._frames, []
+    def take_frames(self, *, at_most: int | None = None) -> list[bytes]:
+        """Return what is to be written; see ``Host.take_frames``."""
+        limit = len(self._frames) if at_most is None else at_most
+        frames, self._frames = self._frames[:limit], self._frames[limit:]
         return frames
 
     def next_deadline_ns(self) -> int | None:
@@ -265,6 +274,14 @@ class ZnpHost:
             transaction=transaction, options=_OPTIONS, radius=_RADIUS, data=one.payload,
         )  # fmt: skip
         self._ask(request, now_ns + _PATIENCE_NS, transaction=transaction)
+
+    def _take_back_unwritten(self) -> None:
+        """Let a payload whose request was not handed out wait again."""
+        outstanding = self._outstanding
+        if outstanding is not None and outstanding.transaction is not None and self._frames:
+            self._frames.pop()  # nothing is asked after it before it is answered
+            self._outstanding = None
+            self._window.give_back(outstanding.transaction)
 
     def _ask(self, request: Request, until_ns: int, *, transaction: int | None = None) -> None:
         self._outstanding = _Outstanding(request, until_ns, transaction)

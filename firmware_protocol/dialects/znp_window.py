@@ -30,11 +30,16 @@ class Unsent:
 
 @dataclass(slots=True)
 class _Unconfirmed:
-    """A payload that was written; ``until_ns`` is when it gives up its place in the window. Its confirm is good after that too."""
+    """A payload that was taken; ``until_ns`` is when it gives up its place in the window. Its confirm is good after that too."""
 
-    ticket: int
+    one: Unsent
+    is_urgent: bool
     until_ns: int
     is_forgotten: bool = False
+
+    @property
+    def ticket(self) -> int:
+        return self.one.ticket
 
 
 @dataclass(slots=True, kw_only=True)
@@ -72,12 +77,23 @@ class SendWindow:
         return ticket
 
     def forget(self, ticket: int) -> None:
-        """Wait no more for what became of a payload; one that was not written yet is not."""
-        for queue in (self._urgent, self._unsent):
-            for one in [one for one in queue if one.ticket == ticket]:
-                queue.remove(one)
+        """Wait no more for what became of a payload that was taken."""
         for sent in self._unconfirmed.values():
             sent.is_forgotten |= sent.ticket == ticket
+
+    def withdraw(self, ticket: int) -> bool:
+        """Take back a payload that was not taken; return whether it was not."""
+        for queue in (self._urgent, self._unsent):
+            for one in queue:
+                if one.ticket == ticket:
+                    queue.remove(one)
+                    return True
+        return False
+
+    def give_back(self, transaction: int) -> None:
+        """Let a payload that was taken, and not written, wait again before the others."""
+        taken = self._unconfirmed.pop(transaction)
+        (self._urgent if taken.is_urgent else self._unsent).appendleft(taken.one)
 
     def free_at_ns(self) -> int | None:
         """Return from when on ``take`` gives the payload that is next; None: not before one is settled or forgotten."""
@@ -92,6 +108,7 @@ class SendWindow:
 
     def take(self, now_ns: int) -> tuple[int, Unsent] | None:
         """Return the payload to be written now and its transaction number, or None."""
+        is_urgent = bool(self._urgent)
         queue = self._urgent or self._unsent
         free_at_ns = self.free_at_ns()
         if not queue or free_at_ns is None or now_ns < free_at_ns:
@@ -103,7 +120,7 @@ class SendWindow:
             self.next_transaction = (self.next_transaction + 1) % _N_TRANSACTIONS
         transaction = self.next_transaction
         self.next_transaction = (transaction + 1) % _N_TRANSACTIONS
-        self._unconfirmed[transaction] = _Unconfirmed(one.ticket, now_ns + _CONFIRM_NS)
+        self._unconfirmed[transaction] = _Unconfirmed(one, is_urgent, now_ns + _CONFIRM_NS)
         return transaction, one
 
     def settle(self, transaction: int) -> int | None:

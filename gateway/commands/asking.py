@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from firmware_protocol.contract.access import Role
-from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest, WaveformName
 from firmware_protocol.errors import ConfigurationError
 from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.commands.outcome import DONE, FAILED, complain
@@ -19,6 +19,14 @@ from gateway.config import GatewayConfig
 from gateway.config_loading import load_gateway_config
 
 _COMMAND_TIMEOUT_S = 30.0
+_TRAIN = (
+    ("--frequency-hz", "HZ", "pulses a second"),
+    ("--amplitude-mv", "MV", "of the first phase"),
+    ("--pulse-width-us", "US", "of one phase"),
+    ("--duration-ms", "MS", "of the whole train"),
+    ("--channel", "N", "of the electrodes; 255: the action's own"),
+)
+_PULSE = ("frequency_hz", "amplitude_mv", "pulse_width_us", "duration_ms", "channel", "waveform")
 ENDPOINT = "tcp/127.0.0.1:7447"
 _COMMANDERS = (Role.OPERATOR, Role.MAPPER)
 
@@ -39,11 +47,15 @@ def add_bus_arguments(parser: argparse.ArgumentParser, *, gateway_help: str) -> 
 def add_command_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``command``."""
     parser.add_argument("node", type=int, metavar="NODE", help="number of the biobot")
-    parser.add_argument("action", choices=[action.value for action in StimulationAction])
+    parser.add_argument("action", choices=[action.value for action in StimulationAction if action is not StimulationAction.STOP_ALL])
     add_bus_arguments(parser, gateway_help="its name; needed where a site has several")
     parser.add_argument("--operator", default=os.environ.get("USER") or "operator", help="who commands; it is journaled")
     parser.add_argument("--hold-ms", type=int, default=0, metavar="MS", help="controlled motion ends by itself after this; 0: never")
     parser.add_argument("--ttl-ms", type=int, default=5000, metavar="MS", help="the command is void after this (default: 5000)")
+    train = parser.add_argument_group("the train, within the gateway's and the backpack's limits (default: as the gateway is configured)")
+    for flag, unit, help_text in _TRAIN:
+        train.add_argument(flag, type=int, metavar=unit, help=help_text)
+    train.add_argument("--waveform", choices=[waveform.value for waveform in WaveformName])
 
 
 def command(options: argparse.Namespace) -> int:
@@ -51,6 +63,7 @@ def command(options: argparse.Namespace) -> int:
     from gateway.bus_client import send_command  # noqa: PLC0415  # Zenoh loads 33 MB, which --help does not need
 
     way = way_of(options, roles=_COMMANDERS)
+    pulse = {key: value for key in _PULSE if (value := getattr(options, key)) is not None}
     try:
         request = msgspec.convert(
             {
@@ -61,12 +74,13 @@ def command(options: argparse.Namespace) -> int:
                 "issued_wall_ns": Nanoseconds(time.time_ns()),
                 "ttl_ms": options.ttl_ms,
                 "hold_ms": options.hold_ms,
+                "pulse": pulse or None,
             },
             StimulationRequest,
         )
     except msgspec.ValidationError as error:
         what, at, name = str(error).partition(" - at `$.")
-        key = name.rstrip("`")
+        key = name.rstrip("`").removeprefix("pulse.")
         told = (
             f"{'node' if key == 'node' else '--' + key.replace('_', '-')} is {getattr(options, key)!r}: {what}"
             if at and hasattr(options, key)

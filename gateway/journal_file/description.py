@@ -66,7 +66,7 @@ def describe_journal(path: Path) -> dict[str, object]:
             "first_commit": _utc(first_ns),
             "last_commit": _utc(last_ns),
             "biobots": connection.execute("SELECT count(*) FROM nodes").fetchone()[0],
-            "command_stages": connection.execute("SELECT count(*) FROM audit").fetchone()[0],
+            "audit_rows": connection.execute("SELECT count(*) FROM audit").fetchone()[0],
             "watermarks": dict(connection.execute("SELECT mapper, offset FROM watermarks ORDER BY mapper")),
             "size_octets": pages["page_size"] * pages["page_count"],
             "free_octets": pages["page_size"] * pages["freelist_count"],

@@ -14,23 +14,24 @@ from typing import IO, TypeVar
 
 from firmware_protocol.units import NS_PER_S, BootId, Nanoseconds
 from gateway.errors import JournalUnfitError
-from gateway.journal_file.migration import bring_over
+from gateway.journal_file.audit_chain import ChainHead
+from gateway.journal_file.audit_table import JOURNAL_KIND, Stamp, append_entries, note_of_journal, read_head
+from gateway.journal_file.migration import bring_over, renew
 from gateway.journal_file.owner import expect_owner, remember_owner
 from gateway.journal_file.schema import (
     COMMIT,
     FIRST_SCHEMA_VERSION,
-    WALL_AGED_SCHEMA_VERSION,
+    SCHEMA_VERSION,
     head_offset,
     make_tables,
     oldest_offset,
     read_meta,
     schema_version_of,
     set_durable,
-    tell_ages_by_running,
     unfit,
 )
 from gateway.journal_file.segments import SegmentBuilder, Windows
-from gateway.journal_file.upkeep import Dropped, Retention, Upkeep, drop_segments, drop_tables, give_back, merge_neighbours
+from gateway.journal_file.upkeep import Dropped, Retention, Upkeep, drop_audit, drop_segments, drop_tables, give_back, merge_neighbours
 from gateway.journal_file.writes import JournalIdentity
 
 SESSIONS_PER_START = 16
@@ -71,6 +72,7 @@ class JournalFile:
         self._opened_ns = clock()
         self._newest_segment = _newest_segment(connection)
         self._has_failed = False
+        self._audit_head = read_head(connection)
         self.identity = identity
         self.windows = Windows(connection.execute("SELECT node, boot, next, above, wall_ns FROM windows"))
 
@@ -81,10 +83,20 @@ class JournalFile:
         written twice.
         """
         number = self._newest_segment + 1
-        if not (self._has_failed and _newest_segment(self._connection) >= number):
+        if self._has_failed and _newest_segment(self._connection) >= number:
+            self._audit_head = read_head(self._connection)
+        else:
             self._has_failed = True  # until it is known not to have
-            sealed = gathered.seal(segment=number, now_wall_ns=self._wall_clock(), ran_ns=self._ran_ns())
-            self._connection.execute(COMMIT, sealed.row())
+            stamp = self._stamp()
+            sealed = gathered.seal(
+                segment=number, now_wall_ns=stamp.wall_ns, ran_ns=stamp.ran_ns, boot=stamp.boot, audit_head=self._audit_head
+            )
+            try:
+                self._connection.execute(COMMIT, sealed.row())
+            except sqlite3.IntegrityError:
+                self._audit_head = read_head(self._connection)  # another hand has put a row where this one's was to be
+                raise
+            self._audit_head = sealed.audit_head or self._audit_head
         self._has_failed = False
         self._newest_segment = number
 
@@ -94,7 +106,8 @@ class JournalFile:
         ``is_behind``: a mapper has more of this journal than it has itself; from the next start on it has another name.
         What makes room comes first, and what the disk refuses keeps nothing else from being done.
         """
-        connection, ran_ns = self._connection, self._ran_ns()
+        connection, stamp = self._connection, self._stamp()
+        ran_ns = stamp.ran_ns
         refused: dict[str, str] = {}
 
         def attempt(step: str, work: Callable[[], _ResultT], otherwise: _ResultT) -> _ResultT:
@@ -106,6 +119,7 @@ class JournalFile:
 
         dropped = attempt("drop", lambda: drop_segments(connection, retention, ran_ns=ran_ns), Dropped())
         has_given = attempt("give back", lambda: give_back(connection), otherwise=False)
+        self._audit_head = attempt("drop audit", lambda: drop_audit(connection, retention, stamp=stamp), None) or self._audit_head
         attempt("drop the rest", lambda: drop_tables(connection, retention, ran_ns=ran_ns), None)
         attempt(PROGRESS, lambda: self._write_progress(watermarks, ran_ns=ran_ns, is_behind=is_behind), None)
         damage = attempt("merge", lambda: merge_neighbours(connection), None)
@@ -118,6 +132,11 @@ class JournalFile:
             damage=damage or (),
             refused=refused,
         )
+
+    @property
+    def audit_head(self) -> ChainHead:
+        """Where the audit log's chain ends."""
+        return self._audit_head
 
     def watermarks(self) -> dict[str, int]:
         """Return how far each known mapper has said to have everything."""
@@ -137,9 +156,9 @@ class JournalFile:
             self._connection.execute("INSERT OR REPLACE INTO meta VALUES ('ran_ns', ?)", (str(ran_ns),))
             self._told_ran_ns = ran_ns
 
-    def _ran_ns(self) -> int:
-        """Return how long gateways have run on this journal [ns]."""
-        return self._ran_until_now_ns + max(0, self._clock() - self._opened_ns)
+    def _stamp(self) -> Stamp:
+        ran_ns = self._ran_until_now_ns + max(0, self._clock() - self._opened_ns)
+        return Stamp(ran_ns=ran_ns, boot=self.identity.boot, wall_ns=self._wall_clock())
 
     def close(self) -> None:
         """Close the file and let others have it."""
@@ -176,13 +195,13 @@ def open_journal_file(
                 expect_owner(connection, path=path, gateway=gateway, schema_version=version)
             if version == FIRST_SCHEMA_VERSION:
                 connection.close()
-                bring_over(path)
+                bring_over(path, stamp=Stamp(ran_ns=0, boot=0, wall_ns=now_wall_ns))
                 connection = _connect(path)
             if version == 0:
                 make_tables(connection)
             set_durable(connection)
-            if version == WALL_AGED_SCHEMA_VERSION:
-                tell_ages_by_running(connection)
+            if FIRST_SCHEMA_VERSION < version < SCHEMA_VERSION:
+                renew(connection, version=version, stamp=Stamp(ran_ns=0, boot=0, wall_ns=now_wall_ns))
             if gateway is not None:
                 remember_owner(connection, gateway)
             _forget_old_lives(connection)
@@ -235,19 +254,21 @@ def _forget_old_lives(connection: sqlite3.Connection) -> None:
 
 def _begin_boot(connection: sqlite3.Connection, *, now_wall_ns: int, now_ns: int, machine_boot: str) -> JournalIdentity:
     if read_meta(connection, "is_behind") is not None:
-        _begin_history(connection)
+        _begin_history(connection, now_wall_ns=now_wall_ns)
     meta = dict(connection.execute("SELECT key, value FROM meta"))
     boot = BootId(max(int(meta["boot"]) + 1, now_wall_ns // NS_PER_S))
     anchor_ns = Nanoseconds(now_wall_ns - now_ns)
     is_same_clock = bool(machine_boot) and meta.get("machine_boot") == machine_boot
     earlier = tuple(Nanoseconds(anchor) for anchor in json.loads(meta["anchors"])) if is_same_clock else ()
+    clock_boot = BootId(int(meta.get("clock_boot", boot))) if is_same_clock else boot
     first_session = int(meta.get("next_session") or secrets.randbelow(1 << 16))
     # Before the first session is opened: a process that is killed leaves its numbers used.
     connection.execute(
-        "INSERT OR REPLACE INTO meta VALUES ('boot', ?), ('machine_boot', ?), ('anchors', ?), ('next_session', ?)",
+        "INSERT OR REPLACE INTO meta VALUES ('boot', ?), ('machine_boot', ?), ('clock_boot', ?), ('anchors', ?), ('next_session', ?)",
         (
             str(boot),
             machine_boot,
+            str(clock_boot),
             json.dumps([*earlier, anchor_ns][-_MAX_ANCHORS:]),
             str((first_session + SESSIONS_PER_START) % (1 << 16)),
         ),
@@ -259,15 +280,20 @@ def _begin_boot(connection: sqlite3.Connection, *, now_wall_ns: int, now_ns: int
         wall_anchor_ns=anchor_ns,
         earlier_anchors=earlier,
         first_session=first_session,
+        opened_ns=now_ns,
+        ran_ns=_ran_ns(connection),
+        clock_boot=clock_boot,
     )
 
 
-def _begin_history(connection: sqlite3.Connection) -> None:
+def _begin_history(connection: sqlite3.Connection, *, now_wall_ns: int) -> None:
     """Give the journal another name: its next offsets are known, with other records, to those who read it."""
     connection.execute("BEGIN IMMEDIATE")
-    connection.execute(
-        "INSERT OR REPLACE INTO meta VALUES ('journal', ?), ('begins', ?)", (secrets.token_hex(4), str(head_offset(connection) + 1))
-    )
+    was, name = read_meta(connection, "journal"), secrets.token_hex(4)
+    connection.execute("INSERT OR REPLACE INTO meta VALUES ('journal', ?), ('begins', ?)", (name, str(head_offset(connection) + 1)))
+    stamp = Stamp(ran_ns=_ran_ns(connection), boot=int(read_meta(connection, "boot") or 0), wall_ns=now_wall_ns)
+    renamed = note_of_journal(JOURNAL_KIND, {"event": "renamed: an older copy of itself", "was": was, "is": name}, stamp=stamp)
+    append_entries(connection, [renamed], stamp=stamp)
     connection.execute("DELETE FROM watermarks")
     connection.execute("DELETE FROM meta WHERE key = 'is_behind'")
     connection.execute("COMMIT")
@@ -276,7 +302,8 @@ def _begin_history(connection: sqlite3.Connection) -> None:
 def _ran_ns(connection: sqlite3.Connection) -> int:
     """Return how long gateways have run on a journal, as far as was written down [ns]."""
     newest = "SELECT ran_ns FROM segments ORDER BY first_offset DESC, segment DESC LIMIT 1"
-    query = f"SELECT max(coalesce(({newest}), 0), (SELECT coalesce(max(ran_ns), 0) FROM watermarks))"  # noqa: S608  # a constant
+    audited = "SELECT ran_ns FROM audit ORDER BY id DESC LIMIT 1"
+    query = f"SELECT max(coalesce(({newest}), 0), coalesce(({audited}), 0), (SELECT coalesce(max(ran_ns), 0) FROM watermarks))"  # noqa: S608  # constants
     return max(int(connection.execute(query).fetchone()[0]), int(read_meta(connection, "ran_ns") or 0))
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from firmware_protocol.contract.records import decode_journal_record
 from firmware_protocol.errors import RecordError
+from gateway.journal_file.audit_verify import verify_audit
 from gateway.journal_file.blobs import (
     RECORDS_COMPRESSED,
     REPORTS_COMPRESSED,
@@ -57,6 +58,9 @@ def check_journal(path: Path, *, tell: Callable[[str], None]) -> Findings:
             counts.add_fault(f"the database is damaged: {' '.join(verdict.split())}")
         try:
             _check_segments(connection, counts, tell=tell)
+            fault = verify_audit(connection, tell=tell).fault
+            if fault is not None:
+                counts.add_fault(f"audit log: {fault}")
         except sqlite3.DatabaseError as error:
             if not verdicts:
                 raise

@@ -1,6 +1,7 @@
-"""A journal of version 1 (one row a record) becomes one of this version: beside the old file first, then in its place.
+"""A journal of an earlier version becomes one of this version.
 
-Bounded memory; a process that is killed on the way leaves the old file as it was. The disk must have room for both.
+One of version 1 (one row a record) is written anew beside the old file, and takes its place: the disk must have room for both. Those of
+versions 2 and 3 are changed in place, in one transaction. Bounded memory; a process that is killed on the way leaves the file as it was.
 """
 
 import contextlib
@@ -12,7 +13,8 @@ from pathlib import Path
 
 from firmware_protocol.contract.records import decode_journal_record
 from firmware_protocol.units import BootId, NodeId
-from gateway.journal_file.schema import COMMIT, make_tables
+from gateway.journal_file.audit_table import GENESIS, HEAD, Stamp, chain_old_rows
+from gateway.journal_file.schema import COMMIT, FIRST_SCHEMA_VERSION, make_tables, renew_tables
 from gateway.journal_file.segments import SegmentBuilder, Windows
 from gateway.journal_file.writes import JournalWrite, UplinkReport
 
@@ -25,16 +27,31 @@ _TOLD_FROM = 50_000
 _SAME = {
     "meta": "SELECT key, value FROM meta WHERE key <> 'commits'",
     "nodes": "SELECT node, body FROM nodes",
-    "audit": "SELECT id, wall_ns, command_id, wire_command, stage, node, train_ms, request, body, 0 FROM audit ORDER BY id",
 }
 """Tables that are copied as they are."""
+
+_AUDIT = "SELECT wall_ns, command_id, wire_command, stage, node, train_ms, request, body, {ran_ns} FROM {table} ORDER BY id"
 
 _REPORTS = """
 SELECT r.node, r.boot, r.sequence, coalesce(w.next, r.sequence + 1), r.received_wall_ns, r.radio, r.address, r.rssi_dbm, r.lqi, r.payload
 FROM reports r LEFT JOIN windows w ON (w.node, w.boot) = (r.node, r.boot) ORDER BY r.received_wall_ns"""
 
 
-def bring_over(path: Path) -> None:
+def renew(connection: sqlite3.Connection, *, version: int, stamp: Stamp) -> None:
+    """Make a journal of version 2 or 3 one of this version; raises ``sqlite3.DatabaseError``, and then it is as it was."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        renew_tables(connection, version=version)
+        old = connection.execute(_AUDIT.format(ran_ns="ran_ns", table="old_audit"))
+        chain_old_rows(connection, old, from_version=version, stamp=stamp)
+        connection.execute("DROP TABLE old_audit")
+        connection.execute("COMMIT")
+    finally:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+
+
+def bring_over(path: Path, *, stamp: Stamp) -> None:
     """Replace a journal of version 1 by one of this version with the same history.
 
     Raises
@@ -50,7 +67,7 @@ def bring_over(path: Path) -> None:
             contextlib.closing(sqlite3.connect(new_path, isolation_level=None)) as new,
         ):
             old.execute("BEGIN IMMEDIATE")
-            _copy(old, new)
+            _copy(old, new, stamp)
             old.execute("ROLLBACK")
             new.execute("PRAGMA journal_mode = DELETE")  # all of it in one file, which can be renamed
             old.execute("PRAGMA journal_mode = DELETE")  # fails where somebody reads it still, who would be left behind
@@ -67,7 +84,7 @@ def bring_over(path: Path) -> None:
         os.close(directory)
 
 
-def _copy(old: sqlite3.Connection, new: sqlite3.Connection) -> None:
+def _copy(old: sqlite3.Connection, new: sqlite3.Connection, stamp: Stamp) -> None:
     make_tables(new)
     new.execute("PRAGMA synchronous = OFF")  # it is synced as a whole before it counts
     (n_records,) = old.execute("SELECT count(*) FROM entries").fetchone()
@@ -78,11 +95,15 @@ def _copy(old: sqlite3.Connection, new: sqlite3.Connection) -> None:
             rows = old.execute(query)
             places = ", ".join("?" * len(rows.description))
             new.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({places})", rows)  # noqa: S608  # names of this file
+        new.execute("INSERT OR REPLACE INTO meta SELECT ?, value FROM meta WHERE key = 'journal'", (GENESIS,))
+        new.execute("DELETE FROM meta WHERE key = ?", (HEAD,))  # it follows from that name
+        old_audit = old.execute(_AUDIT.format(ran_ns=0, table="audit"))
+        head = chain_old_rows(new, old_audit, from_version=FIRST_SCHEMA_VERSION, stamp=stamp)
         new.execute("COMMIT")
         n_done = 0
         windows = Windows()
         for segment, (wall_ns, builder) in enumerate(_segments(old, windows), start=1):
-            new.execute(COMMIT, builder.seal(segment=segment, now_wall_ns=wall_ns, ran_ns=0).row())
+            new.execute(COMMIT, builder.seal(segment=segment, now_wall_ns=wall_ns, ran_ns=0, boot=0, audit_head=head).row())
             n_done += builder.n_writes
             tell.tell(n_done)
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord, MissionRecord, ModeRecord, decode_journal_record
 from firmware_protocol.errors import RecordError
 from firmware_protocol.units import BootId, NodeId
+from gateway.journal_file.audit_chain import COLUMNS, entry_of
+from gateway.journal_file.audit_table import WIRE_COMMAND
 from gateway.journal_file.blobs import (
     RECORDS_COMPRESSED,
     REPORTS_COMPRESSED,
@@ -187,12 +189,31 @@ class JournalReader:
 
     def read_audit_since(self, wall_ns: int) -> list[AuditEntry]:
         """Return the stages of all commands from an instant on, in order."""
-        return self._audit("WHERE wall_ns >= ? ORDER BY id", (wall_ns,))
+        return self._audit("WHERE wall_ns >= ? AND command_id <> '' ORDER BY id", (wall_ns,))
+
+    def read_newest_audit(self, *, limit: int) -> Iterator[AuditEntry]:
+        """Yield the rows of commands that are among the newest ``limit`` rows of the audit log, in order."""
+        where = "WHERE id > (SELECT coalesce(max(id), 0) FROM audit) - ? AND command_id <> '' ORDER BY id"
+        rows = self._connection.execute(f"SELECT {COLUMNS}, chain FROM audit {where}", (limit,))  # noqa: S608  # constants of this package
+        return map(entry_of, rows)
+
+    def read_audit_trains(self, *, since_ran_ns: int) -> list[AuditEntry]:
+        """Return the entries with trains that came to lie on disk after gateways had run so long on the journal, in order.
+
+        ``JournalIdentity.instant_of`` says when each was given.
+        """
+        return self._audit("WHERE train_ms > 0 AND ran_ns >= ? ORDER BY id", (since_ran_ns,))
+
+    def read_last_audit(self, *, kind: str, node: NodeId | None = None) -> AuditEntry | None:
+        """Return the newest entry of a kind, of a biobot where one is named; not for stages of commands, which are many."""
+        found = self._audit("WHERE kind = ? AND node IS ? AND kind <> 'stage' ORDER BY id DESC LIMIT 1", (kind, node))
+        return found[0] if found else None
 
     def read_last_wire_command(self) -> int | None:
         """Return the number that the last admitted command had on the wire."""
         row = self._connection.execute("SELECT wire_command FROM audit WHERE wire_command IS NOT NULL ORDER BY id DESC LIMIT 1").fetchone()
-        return None if row is None else int(row[0])
+        last = read_meta(self._connection, WIRE_COMMAND) if row is None else row[0]
+        return None if last is None else int(last)
 
     def close(self) -> None:
         """Close the connection."""
@@ -238,10 +259,8 @@ class JournalReader:
         return [decode_journal_record(body) for (body,) in reversed(rows)]
 
     def _audit(self, where: str, values: Sequence[object]) -> list[AuditEntry]:
-        columns = "wall_ns, command_id, wire_command, stage, node, train_ms, request, body"
-        rows = self._connection.execute(f"SELECT {columns} FROM audit {where}", values)  # noqa: S608  # both parts are constants of this file
-        names = columns.split(", ")
-        return [AuditEntry(**dict(zip(names, row, strict=True))) for row in rows]
+        rows = self._connection.execute(f"SELECT {COLUMNS}, chain FROM audit {where}", values)  # noqa: S608  # constants of this package
+        return [entry_of(row) for row in rows]
 
 
 def _expect_records(bodies: Sequence[bytes], *, first_offset: int) -> None:

@@ -1,4 +1,4 @@
-"""The tables of a journal, version 3, and whether a file is one (docs/journal.md).
+"""The tables of a journal, version 4, and whether a file is one (docs/journal.md).
 
 ``segments`` says of each commit, or of several merged ones, what is in it; ``contents`` holds its bytes. ``windows``, ``nodes``, ``states``
 and ``audit`` are what a restart wants to know at once. One INSERT into the view ``commits`` is one transaction on all of them: each
@@ -10,27 +10,39 @@ import sqlite3
 from pathlib import Path
 
 from gateway.errors import JournalUnfitError
+from gateway.journal_file.audit_chain import genesis
 
 APPLICATION_ID = 0x42494F47
 """In SQLite's header, "BIOG": this file is a gateway's journal."""
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 FIRST_SCHEMA_VERSION = 1
 """Whose files are brought over."""
 
-WALL_AGED_SCHEMA_VERSION = 2
-"""Whose files lack ``ran_ns``, and get it in place."""
+_WALL_AGED_SCHEMA_VERSION = 2
+"""Whose files lack ``ran_ns``, and get it in place; those of this one and the next lack the chain of the audit log."""
 
 _COLUMNS = (
     "segment, first_offset, n_records, n_reports, wall_ns, ran_ns, min_start, max_end, encoding, crc, pairs, records, reports, "
-    "windows, states, nodes, audits, blobs"
+    "windows, states, nodes, audits, audit_head, blobs"
 )
 COMMIT = f"INSERT INTO commits ({_COLUMNS}) VALUES ({', '.join('?' * len(_COLUMNS.split(',')))})"  # noqa: S608  # constants of this file
 """Takes ``SealedSegment.row()``."""
 
 _RAN = "ran_ns INTEGER NOT NULL DEFAULT 0"
-_RAN_TABLES = ("segments", "windows", "audit", "watermarks")
+_RAN_TABLES = ("segments", "windows", "watermarks")
 
+_AUDIT_TABLES = (
+    # id: its place in the chain, without gaps. chain: audit_chain.py.
+    """CREATE TABLE audit (
+  id INTEGER PRIMARY KEY, kind TEXT NOT NULL, wall_ns INTEGER NOT NULL, ran_ns INTEGER NOT NULL, boot INTEGER NOT NULL, mono_ns INTEGER,
+  operator TEXT NOT NULL, node INTEGER, command_id TEXT NOT NULL, wire_command INTEGER, stage TEXT NOT NULL, train_ms INTEGER NOT NULL,
+  request BLOB NOT NULL, body BLOB NOT NULL, chain BLOB NOT NULL)""",
+    "CREATE INDEX audit_of_command ON audit (command_id, id) WHERE command_id <> ''",
+    "CREATE INDEX audit_of_time ON audit (wall_ns)",
+    "CREATE INDEX audit_of_trains ON audit (ran_ns) WHERE train_ms > 0",
+    "CREATE INDEX audit_of_kind ON audit (kind, node, id) WHERE kind <> 'stage'",
+)
 _TABLES = (
     "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
     # level: how often it was merged, or that it is damaged. wall_ns: when it was committed. min_start, max_end: UTC of its encounters.
@@ -47,17 +59,16 @@ _TABLES = (
     "CREATE TABLE nodes (node INTEGER PRIMARY KEY, body BLOB NOT NULL)",
     "CREATE TABLE states (offset INTEGER PRIMARY KEY, kind INTEGER NOT NULL, body BLOB NOT NULL)",
     "CREATE INDEX states_of_kind ON states (kind, offset)",
-    f"""CREATE TABLE audit (
-  id INTEGER PRIMARY KEY, wall_ns INTEGER NOT NULL, command_id TEXT NOT NULL, wire_command INTEGER, stage TEXT NOT NULL,
-  node INTEGER NOT NULL, train_ms INTEGER NOT NULL, request BLOB NOT NULL, body BLOB NOT NULL, {_RAN})""",
-    "CREATE INDEX audit_of_command ON audit (command_id, id)",
-    "CREATE INDEX audit_of_time ON audit (wall_ns)",
+    *_AUDIT_TABLES,
     f"CREATE TABLE watermarks (mapper TEXT PRIMARY KEY, offset INTEGER NOT NULL, wall_ns INTEGER NOT NULL, {_RAN}) WITHOUT ROWID",
 )
+_BLOB = "coalesce(substr(NEW.blobs, value ->> {first}, value ->> {length}), x'')"  # substr of an empty blob is NULL
+# Texts of an audit row come from outside, and may hold what JSON in SQLite does not keep: they lie among the blobs.
+_AUDIT_TEXTS = ", ".join(f"CAST({_BLOB.format(first=first, length=first + 1)} AS TEXT)" for first in (8, 10, 12, 14))
+_AUDIT_BLOBS = ", ".join(_BLOB.format(first=first, length=first + 1) for first in (16, 18, 20))
 _COMMITS = (
     f"CREATE VIEW commits AS SELECT {', '.join('NULL AS ' + name for name in _COLUMNS.split(', '))}",
-    # substr of an empty blob is NULL.
-    """CREATE TRIGGER commit_segment INSTEAD OF INSERT ON commits BEGIN
+    f"""CREATE TRIGGER commit_segment INSTEAD OF INSERT ON commits BEGIN
   INSERT INTO segments VALUES (
     NEW.first_offset, NEW.segment, NEW.n_records, NEW.n_reports, 0, NEW.wall_ns, NEW.min_start, NEW.max_end, NEW.encoding, NEW.crc,
     NEW.ran_ns);
@@ -65,14 +76,15 @@ _COMMITS = (
   INSERT OR REPLACE INTO windows
     SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, NEW.ran_ns FROM json_each(NEW.windows);
   INSERT INTO states
-    SELECT value ->> 0, value ->> 1, coalesce(substr(NEW.blobs, value ->> 2, value ->> 3), x'') FROM json_each(NEW.states);
+    SELECT value ->> 0, value ->> 1, {_BLOB.format(first=2, length=3)} FROM json_each(NEW.states);
   INSERT OR REPLACE INTO nodes
-    SELECT value ->> 0, coalesce(substr(NEW.blobs, value ->> 1, value ->> 2), x'') FROM json_each(NEW.nodes);
-  INSERT INTO audit (wall_ns, command_id, wire_command, stage, node, train_ms, request, body, ran_ns)
-    SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5,
-      coalesce(substr(NEW.blobs, value ->> 6, value ->> 7), x''),
-      coalesce(substr(NEW.blobs, value ->> 8, value ->> 9), x''), NEW.ran_ns FROM json_each(NEW.audits);
-END""",
+    SELECT value ->> 0, {_BLOB.format(first=1, length=2)} FROM json_each(NEW.nodes);
+  INSERT INTO audit (id, wall_ns, ran_ns, boot, mono_ns, node, wire_command, train_ms,
+    kind, operator, command_id, stage, request, body, chain)
+    SELECT value ->> 0, value ->> 1, value ->> 2, value ->> 3, value ->> 4, value ->> 5, value ->> 6, value ->> 7,
+      {_AUDIT_TEXTS}, {_AUDIT_BLOBS} FROM json_each(NEW.audits);
+  INSERT OR REPLACE INTO meta SELECT 'audit_head', NEW.audit_head WHERE NEW.audit_head IS NOT NULL;
+END""",  # noqa: S608  # constants of this file
 )
 
 _MAX_WAL_SIZE = 16 << 20
@@ -98,20 +110,30 @@ def make_tables(connection: sqlite3.Connection, *, journal: str | None = None) -
     connection.execute("BEGIN IMMEDIATE")
     for statement in (*_TABLES, *_COMMITS):
         connection.execute(statement)
-    connection.execute("INSERT INTO meta VALUES ('journal', ?), ('boot', '0')", (journal or secrets.token_hex(4),))
+    name = journal or secrets.token_hex(4)
+    names = (name, name, genesis(name).text())
+    connection.execute("INSERT INTO meta VALUES ('journal', ?), ('boot', '0'), ('audit_genesis', ?), ('audit_head', ?)", names)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("COMMIT")
 
 
-def tell_ages_by_running(connection: sqlite3.Connection) -> None:
-    """Make a file of version 2 one of version 3: all that is in it begins to age now."""
-    connection.execute("BEGIN IMMEDIATE")
+def renew_tables(connection: sqlite3.Connection, *, version: int) -> None:
+    """Make the tables of a file of version 2 or 3 this version's, within the caller's transaction; ``old_audit`` is left to be copied.
+
+    All that is in a file of version 2 begins to age now.
+    """
     connection.execute("DROP VIEW IF EXISTS commits")  # and its trigger
-    for statement in (*(f"ALTER TABLE {table} ADD COLUMN {_RAN}" for table in _RAN_TABLES), *_COMMITS):
+    if version == _WALL_AGED_SCHEMA_VERSION:
+        for table in (*_RAN_TABLES, "audit"):
+            connection.execute(f"ALTER TABLE {table} ADD COLUMN {_RAN}")
+    for index in ("audit_of_command", "audit_of_time"):
+        connection.execute(f"DROP INDEX IF EXISTS {index}")
+    connection.execute("ALTER TABLE audit RENAME TO old_audit")
+    for statement in (*_AUDIT_TABLES, *_COMMITS):
         connection.execute(statement)
+    connection.execute("INSERT OR REPLACE INTO meta SELECT 'audit_genesis', value FROM meta WHERE key = 'journal'")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-    connection.execute("COMMIT")
 
 
 def set_durable(connection: sqlite3.Connection) -> None:

@@ -3,6 +3,7 @@
 All that can be wrong with a write is found when it is added: a segment that was gathered can be stored.
 """
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -16,6 +17,7 @@ from firmware_protocol.contract.records import (
     MissionRecord,
     encode_journal_record,
 )
+from gateway.journal_file.audit_chain import ChainHead, link, row_of, storable_node
 from gateway.journal_file.blobs import (
     NO_PAIR,
     RECORDS_COMPRESSED,
@@ -79,8 +81,8 @@ class SegmentBuilder:
         report, audit = write.report, write.audit
         packed = None if report is None else pack_report(report)
         if audit is not None:
-            _check_range(audit.wall_ns, audit.train_ms, audit.wire_command or 0)
-            (audit.command_id + audit.stage).encode()
+            _check_range(audit.wall_ns, audit.train_ms, audit.wire_command or 0, audit.mono_ns or 0, storable_node(audit) or 0)
+            f"{audit.kind}{audit.operator}{audit.command_id}{audit.stage}".encode()
         if write.node is not None:
             _check_range(write.node[0])
         if write.records:
@@ -124,8 +126,9 @@ class SegmentBuilder:
         self._states += states
         self.size += size
 
-    def seal(self, *, segment: int, now_wall_ns: int, ran_ns: int) -> "SealedSegment":
-        """Return it ready for the disk, as segment number ``segment``."""
+    def seal(self, *, segment: int, now_wall_ns: int, ran_ns: int, boot: int, audit_head: ChainHead) -> "SealedSegment":
+        """Return it ready for the disk, as segment number ``segment``; its audit rows follow on ``audit_head``."""
+        first_head = audit_head
         blobs: list[bytes] = []
         at = 1  # SQLite's substr counts from 1
 
@@ -137,6 +140,7 @@ class SegmentBuilder:
 
         states = [(offset, kind, *place(body)) for offset, kind, body in self._states]
         nodes = [(node, *place(body)) for node, body in self._nodes.items()]
+<<<<<<< HEAD
         audits = [
             (
                 one.wall_ns,
@@ -151,6 +155,17 @@ class SegmentBuilder:
             for one in self._audits
         ]
         contents = _store(pack_records(self.bodies) if self.bodies else b"", pack_pairs(self._pairs), b"".join(self._reports))
+=======
+        audits = []
+        for number, entry in enumerate(self._audits, start=audit_head.n_rows + 1):
+            row = row_of(entry, number=number, ran_ns=ran_ns, boot=boot)
+            audit_head = ChainHead(n_rows=number, chain=link(audit_head.chain, row))
+            texts = [text.encode() for text in (entry.kind, entry.operator, entry.command_id, entry.stage)]
+            placed = map(place, (*texts, entry.request, entry.body, audit_head.chain))
+            cells = (number, entry.wall_ns, ran_ns, boot, entry.mono_ns, storable_node(entry), entry.wire_command, entry.train_ms)
+            audits.append((*cells, *itertools.chain.from_iterable(placed)))
+        contents = _store(self.bodies, pack_pairs(self._pairs), b"".join(self._reports))
+>>>>>>> main
         has_encounters = self._max_end >= self._min_start
         return SealedSegment(
             segment=segment,
@@ -166,6 +181,7 @@ class SegmentBuilder:
             states=states,
             nodes=nodes,
             audits=audits,
+            audit_head=None if audit_head is first_head else audit_head,
             blobs=b"".join(blobs),
         )
 
@@ -197,7 +213,9 @@ class SealedSegment:
     windows: Sequence[tuple[int, ...]]
     states: Sequence[tuple[int, ...]]
     nodes: Sequence[tuple[int, ...]]
-    audits: Sequence[tuple[int | str | None, ...]]
+    audits: Sequence[tuple[int | None, ...]]
+    audit_head: ChainHead | None
+    """After its audit rows; None: it has none."""
     blobs: bytes
 
     def row(self) -> Row:
@@ -218,6 +236,7 @@ class SealedSegment:
             contents.records,
             contents.reports,
             *(msgspec.json.encode(rows).decode() for rows in (self.windows, self.states, self.nodes, self.audits)),
+            None if self.audit_head is None else self.audit_head.text(),
             self.blobs,
         )
 

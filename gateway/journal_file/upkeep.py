@@ -11,6 +11,8 @@ import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from gateway.journal_file.audit_chain import ChainHead
+from gateway.journal_file.audit_table import Stamp, prune
 from gateway.journal_file.blobs import RECORDS_COMPRESSED, REPORTS_COMPRESSED, DamagedSegmentError, decompress, read_contents
 from gateway.journal_file.segments import MODE, Contents, join_contents
 from gateway.journal_file.writes import Damage
@@ -137,14 +139,7 @@ def drop_segments(connection: sqlite3.Connection, retention: Retention, *, ran_n
 
 
 def drop_tables(connection: sqlite3.Connection, retention: Retention, *, ran_ns: int) -> None:
-    """Drop what is over age of the rest: stages of commands, silent biobots, silent mappers."""
-    if retention.audit_age_ns is not None:
-        # The last number on the wire is kept: a backpack remembers it.
-        connection.execute(
-            "DELETE FROM audit WHERE id IN (SELECT id FROM audit WHERE ran_ns < ? AND id IS NOT "
-            "(SELECT max(id) FROM audit WHERE wire_command IS NOT NULL) ORDER BY id LIMIT 1000)",
-            (ran_ns - retention.audit_age_ns,),
-        )
+    """Drop what is over age of the rest: silent biobots, silent mappers."""
     if retention.node_age_ns is not None:
         before = ran_ns - retention.node_age_ns
         silent = "SELECT node FROM windows GROUP BY node HAVING max(ran_ns) < ?"
@@ -152,6 +147,19 @@ def drop_tables(connection: sqlite3.Connection, retention: Retention, *, ran_ns:
         connection.execute(f"DELETE FROM windows WHERE node IN ({silent})", (before,))  # noqa: S608  # same
     if retention.mapper_age_ns is not None:
         connection.execute("DELETE FROM watermarks WHERE ran_ns < ?", (ran_ns - retention.mapper_age_ns,))
+
+
+def drop_audit(connection: sqlite3.Connection, retention: Retention, *, stamp: Stamp) -> ChainHead | None:
+    """Drop the audit log's rows that are over age; return the head of its chain where it has changed."""
+    if retention.audit_age_ns is None:
+        return None
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        head = prune(connection, age_ns=retention.audit_age_ns, stamp=stamp)
+        connection.execute("COMMIT")
+    finally:
+        _roll_back(connection)
+    return head
 
 
 def give_back(connection: sqlite3.Connection) -> bool:

@@ -17,6 +17,8 @@ from mapper.errors import (
     JobError,
     MapError,
     NoMapYetError,
+    OrderRefusedError,
+    StopUnansweredError,
     StoreError,
     TooManyError,
     WorkerDiedError,
@@ -28,9 +30,11 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     BiobotNotFoundError: HTTPStatus.NOT_FOUND,
     CommandNotFoundError: HTTPStatus.NOT_FOUND,
     CommandRefusedError: HTTPStatus.CONFLICT,
+    OrderRefusedError: HTTPStatus.CONFLICT,
     TooManyError: HTTPStatus.TOO_MANY_REQUESTS,
     NoMapYetError: HTTPStatus.SERVICE_UNAVAILABLE,
     GatewayAwayError: HTTPStatus.SERVICE_UNAVAILABLE,
+    StopUnansweredError: HTTPStatus.SERVICE_UNAVAILABLE,
     WorkerDiedError: HTTPStatus.SERVICE_UNAVAILABLE,
     StoreError: HTTPStatus.SERVICE_UNAVAILABLE,
     JobError: HTTPStatus.INTERNAL_SERVER_ERROR,
@@ -41,6 +45,7 @@ _RETRY_AFTER_S: Final[Mapping[type[MapError], int]] = {
     WorkerDiedError: 1,
     TooManyError: 1,
     GatewayAwayError: 5,
+    StopUnansweredError: 1,
     StoreError: 5,
 }
 _MAX_SHOWN_FAULTS: Final = 10
@@ -74,9 +79,14 @@ async def _on_map_error(request: Request, error: Exception) -> Response:
         case NoMapYetError():
             facts = {"state": "waiting", "n_encounters": error.n_encounters, "minimum": error.minimum}
         case CommandRefusedError():
-            facts = {"command_id": error.command_id, "outcome": "refused", "reason": error.reason}
+            facts = {"command_id": error.command_id, "outcome": "refused", "reason": error.reason, "refusal": error.refusal}
+        case OrderRefusedError():
+            answers = [{"gateway": gateway, "reason": reason} for gateway, reason in error.answers]
+            facts = {"order_id": error.order_id, "answers": answers}
+        case StopUnansweredError():
+            facts = {**error.facts, "unanswered": error.gateways}
         case GatewayAwayError():
-            facts = {"command_id": error.command_id, "outcome": "undelivered"}
+            facts = {"command_id": error.command_id, "outcome": "undelivered", "gateway": error.gateway}
     return problem(status, detail=str(error), headers=headers, facts=facts)
 
 

@@ -1,34 +1,26 @@
 """The endpoints under ``/api/v1``, and those that watch the process.
 
 Answers are bytes made once for a version of the map, or small objects; no large one passes through a model. Before the
-first map the map's endpoints answer 503 with what is awaited and ``Retry-After``. A command is answered when it has ended: 200 with the
-gateway's stages and the outcome, 409 when the gateway refused it, 503 when there is no gateway to give it to.
+first map the map's endpoints answer 503 with what is awaited and ``Retry-After``. Commands are in ``command_routes``.
 """
 
 import time
 from http import HTTPStatus
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from fastapi import APIRouter, Query, Request, Response
 
-from firmware_protocol.contract.commands import StimulationAction
-from firmware_protocol.units import NodeId
-from mapper.api.errors import PROBLEM_TYPE
+from mapper.api.command_routes import add_command_routes, add_mission_routes
+from mapper.api.descriptions import describe_answers
 from mapper.api.event_stream import EventStream
 from mapper.api.schemas import (
     BiobotList,
-    CommandBody,
-    CommandId,
-    CommandList,
-    CommandView,
     DiagramView,
     EncounterList,
     GatewayList,
     HealthView,
     MapStatusView,
     MapView,
-    MissionView,
-    Problem,
     ReadyView,
 )
 from mapper.api.services import Services
@@ -37,45 +29,16 @@ from mapper.api.views import (
     json_response,
     versioned_response,
     view_biobot,
-    view_command,
     view_encounter,
     view_gateway,
     view_gateways,
     view_map_status,
-    view_mission,
 )
-from mapper.commands import Outcome
-from mapper.errors import CommandRefusedError, GatewayAwayError
 from mapper.map_snapshot import MapSnapshot
 from mapper.store import Store
 
-_SUMMARIES: Final = {
-    HTTPStatus.FORBIDDEN: "A page of another site asked for it",
-    HTTPStatus.NOT_FOUND: "Unknown here",
-    HTTPStatus.CONFLICT: "The gateway refused the command",
-    HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "The body is too large",
-    HTTPStatus.UNPROCESSABLE_ENTITY: "The request is malformed",
-    HTTPStatus.TOO_MANY_REQUESTS: "Too much at the same time",
-    HTTPStatus.SERVICE_UNAVAILABLE: "Not now: try again after Retry-After",
-    HTTPStatus.INTERNAL_SERVER_ERROR: "A computation failed",
-    HTTPStatus.BAD_REQUEST: "The body is no JSON",
-}
 _MAP_PROBLEMS: Final = (HTTPStatus.SERVICE_UNAVAILABLE,)
 _PICTURE_PROBLEMS: Final = (HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.INTERNAL_SERVER_ERROR)
-_COMMAND_PROBLEMS: Final = (
-    HTTPStatus.BAD_REQUEST,
-    HTTPStatus.FORBIDDEN,
-    HTTPStatus.NOT_FOUND,
-    HTTPStatus.CONFLICT,
-    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-    HTTPStatus.UNPROCESSABLE_ENTITY,
-    HTTPStatus.TOO_MANY_REQUESTS,
-    HTTPStatus.SERVICE_UNAVAILABLE,
-)
-_FRESHNESS_HEADERS: Final = {
-    "Map-Behind": {"description": "No record that is missing in the map came earlier than this [s] ago", "schema": {"type": "number"}},
-    "Map-Waiting": {"description": "Records that have come since the map was begun", "schema": {"type": "integer"}},
-}
 _MAX_CURSOR: Final = 2**63 - 1
 
 
@@ -84,13 +47,14 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     router = APIRouter()
     _add_map_routes(router, services)
     _add_record_routes(router, services)
-    _add_command_routes(router, services)
+    add_command_routes(router, services)
+    add_mission_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router
 
 
 def _add_map_routes(router: APIRouter, services: Services) -> None:
-    @router.get("/api/v1/map", tags=["map"], responses=_answers(MapView, _MAP_PROBLEMS, is_versioned=True))
+    @router.get("/api/v1/map", tags=["map"], responses=describe_answers(MapView, _MAP_PROBLEMS, is_versioned=True))
     async def get_map(request: Request) -> Response:
         """Return the newest finished map: points, Rips complex, holes, intervals, landmarks."""
         snapshot = services.current_map.require()
@@ -98,12 +62,12 @@ def _add_map_routes(router: APIRouter, services: Services) -> None:
             request, snapshot.map_json, etag=snapshot.etag, media_type=JSON_TYPE, headers=_freshness(services, snapshot)
         )
 
-    @router.get("/api/v1/map/status", tags=["map"], responses=_answers(MapStatusView))
+    @router.get("/api/v1/map/status", tags=["map"], responses=describe_answers(MapStatusView))
     async def get_map_status() -> Response:
         """Say what the newest finished map is of, how old it is, and how many records it waits to take in; small, to be asked often."""
         return json_response(view_map_status(services.current_map.status))
 
-    @router.get("/api/v1/diagram", tags=["map"], responses=_answers(DiagramView, _MAP_PROBLEMS, is_versioned=True))
+    @router.get("/api/v1/diagram", tags=["map"], responses=describe_answers(DiagramView, _MAP_PROBLEMS, is_versioned=True))
     async def get_diagram(request: Request) -> Response:
         """Return the persistence diagram of the newest finished map."""
         snapshot = services.current_map.require()
@@ -111,13 +75,13 @@ def _add_map_routes(router: APIRouter, services: Services) -> None:
             request, snapshot.diagram_json, etag=snapshot.etag, media_type=JSON_TYPE, headers=_freshness(services, snapshot)
         )
 
-    @router.get("/api/v1/map.svg", tags=["map"], responses=_answers("image/svg+xml", _PICTURE_PROBLEMS, is_versioned=True))
+    @router.get("/api/v1/map.svg", tags=["map"], responses=describe_answers("image/svg+xml", _PICTURE_PROBLEMS, is_versioned=True))
     async def get_map_svg(request: Request) -> Response:
         """Draw the newest finished map as SVG."""
         snapshot, picture = await services.current_map.picture("svg")
         return versioned_response(request, picture, etag=snapshot.etag, media_type="image/svg+xml", headers=_freshness(services, snapshot))
 
-    @router.get("/api/v1/map.png", tags=["map"], responses=_answers("image/png", _PICTURE_PROBLEMS, is_versioned=True))
+    @router.get("/api/v1/map.png", tags=["map"], responses=describe_answers("image/png", _PICTURE_PROBLEMS, is_versioned=True))
     async def get_map_png(request: Request) -> Response:
         """Draw the newest finished map as PNG."""
         snapshot, picture = await services.current_map.picture("png")
@@ -125,7 +89,7 @@ def _add_map_routes(router: APIRouter, services: Services) -> None:
 
 
 def _add_record_routes(router: APIRouter, services: Services) -> None:
-    @router.get("/api/v1/biobots", tags=["biobots"], responses=_answers(BiobotList))
+    @router.get("/api/v1/biobots", tags=["biobots"], responses=describe_answers(BiobotList))
     async def get_biobots() -> Response:
         """List all biobots and gateways with their last known state."""
         now_ns = time.monotonic_ns()
@@ -134,17 +98,18 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
                 "now_wall_ns": time.time_ns(),
                 "gateways": [view_gateway(view) for view in services.fleet.gateways(now_ns=now_ns)],
                 "mappers": services.fleet.mappers(),
+                "commanders": services.fleet.commanders(),
                 "biobots": [view_biobot(view) for view in services.fleet.biobots(now_ns=now_ns)],
             }
         )
 
-    @router.get("/api/v1/gateways", tags=["biobots"], responses=_answers(GatewayList))
+    @router.get("/api/v1/gateways", tags=["biobots"], responses=describe_answers(GatewayList))
     async def get_gateways() -> Response:
         """List all gateways, and how far the clock of each of their starts is from the site's."""
         views = services.fleet.gateways(now_ns=time.monotonic_ns())
         return json_response({"gateways": view_gateways(views, services.records.clocks)})
 
-    @router.get("/api/v1/encounters", tags=["records"], responses=_answers(EncounterList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
+    @router.get("/api/v1/encounters", tags=["records"], responses=describe_answers(EncounterList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
     async def get_encounters(
         after: Annotated[int, Query(ge=0, le=_MAX_CURSOR, description="The cursor of the page before")] = 0,
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
@@ -165,55 +130,14 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
             }
         )
 
-    @router.get("/api/v1/mission", tags=["records"], responses=_answers(MissionView))
-    async def get_mission() -> Response:
-        """Return the phases of the mission."""
-        return json_response(view_mission(await services.records.call(Store.missions)))
-
-
-def _add_command_routes(router: APIRouter, services: Services) -> None:
-    @router.post("/api/v1/commands", tags=["commands"], responses=_answers(CommandView, _COMMAND_PROBLEMS))
-    async def post_command(body: CommandBody) -> Response:
-        """Give a command and wait for its end; the same ``id`` again gives it once and answers the same.
-
-        Outcome ``biobot_confirmed``: done. ``failed``: it did not reach the biobot, or was not carried out. ``unknown``: nobody can tell.
-        """
-        command = await services.commands.submit(
-            node=NodeId(int(body.biobot)),
-            action=StimulationAction(body.action),
-            operator=body.operator,
-            ttl_ms=body.ttl_ms,
-            hold_ms=body.hold_ms,
-            command_id=body.id,
-        )
-        if command.outcome is Outcome.REFUSED:
-            raise CommandRefusedError(command_id=command.request.command_id, reason=command.reason)
-        if command.outcome is Outcome.UNDELIVERED:
-            raise GatewayAwayError(command_id=command.request.command_id, gateway=command.gateway)
-        return json_response(view_command(command))
-
-    @router.get("/api/v1/commands", tags=["commands"], responses=_answers(CommandList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
-    async def get_commands(limit: Annotated[int, Query(ge=1, le=1000)] = 50) -> Response:
-        """List the newest commands given here since the start."""
-        return json_response({"commands": [view_command(command) for command in services.commands.recent(limit=limit)]})
-
-    @router.get(
-        "/api/v1/commands/{command_id}",
-        tags=["commands"],
-        responses=_answers(CommandView, (HTTPStatus.NOT_FOUND, HTTPStatus.UNPROCESSABLE_ENTITY)),
-    )
-    async def get_command(command_id: CommandId) -> Response:
-        """Return one command as it stands."""
-        return json_response(view_command(services.commands.get(command_id)))
-
 
 def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream) -> None:
-    @router.get("/api/v1/events", tags=["watch"], responses=_answers("text/event-stream", (HTTPStatus.TOO_MANY_REQUESTS,)))
+    @router.get("/api/v1/events", tags=["watch"], responses=describe_answers("text/event-stream", (HTTPStatus.TOO_MANY_REQUESTS,)))
     async def get_events() -> Response:
         """Tell of changes as server-sent events: the version numbers of map, records, biobots, commands and mission, the newest only."""
         return stream.open()
 
-    @router.get("/healthz", tags=["watch"], responses=_answers(HealthView))
+    @router.get("/healthz", tags=["watch"], responses=describe_answers(HealthView))
     async def get_health() -> Response:
         """Say that the process answers, and what it has counted."""
         status, faults = services.current_map.status, services.faults()
@@ -230,7 +154,9 @@ def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream
             }
         )
 
-    @router.get("/readyz", tags=["watch"], responses=_answers(ReadyView) | {503: {"model": ReadyView, "description": "Not connected"}})
+    @router.get(
+        "/readyz", tags=["watch"], responses=describe_answers(ReadyView) | {503: {"model": ReadyView, "description": "Not connected"}}
+    )
     async def get_readiness() -> Response:
         """Say whether the bus is joined: 200 if a gateway or router is connected, 503 if not."""
         is_connected = services.is_connected()
@@ -249,25 +175,3 @@ def _freshness(services: Services, snapshot: MapSnapshot) -> dict[str, str]:
     """Make the headers that say how far this map is behind [s], and how many records it lacks; a newer one may have come meanwhile."""
     n_waiting, behind_s = services.current_map.lag_of(snapshot)
     return {"Map-Behind": f"{behind_s:.3f}", "Map-Waiting": str(n_waiting)}
-
-
-def _answers(content: type | str, problems: tuple[HTTPStatus, ...] = (), *, is_versioned: bool = False) -> dict[int | str, dict[str, Any]]:
-    """Describe an endpoint's answers: a model or a media type, and the errors it may tell."""
-    fine: dict[str, Any] = {"description": "The newest state"}
-    if isinstance(content, str):
-        kind = {"type": "string"} if content.startswith("text/") else {"type": "string", "format": "binary"}
-        fine["content"] = {content: {"schema": kind}}
-    else:
-        fine["model"] = content
-    answers: dict[int | str, dict[str, Any]] = {200: fine}
-    if is_versioned:
-        fine["headers"] = _FRESHNESS_HEADERS
-        answers[304] = {"description": "The client has this version (If-None-Match)"}
-    for status in problems:
-        schema = {"$ref": f"#/components/schemas/{Problem.__name__}"}
-        answers[int(status)] = {"description": _SUMMARIES[status], "content": {PROBLEM_TYPE: {"schema": schema}}}
-    answers[421] = {
-        "description": "The service is called by a name that is not its own",
-        "content": {PROBLEM_TYPE: {"schema": {"$ref": f"#/components/schemas/{Problem.__name__}"}}},
-    }
-    return answers

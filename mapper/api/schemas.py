@@ -6,7 +6,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 _MAX_NODE = 2**64 - 1
 
-CommandId = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9._-]+$")]
 Interval = Annotated[list[float | None], Field(min_length=2, max_length=2, description="[birth, death]; death null: never")]
 Place = Annotated[list[float], Field(min_length=2, max_length=2, description="[x, y] in map coordinates")]
 
@@ -21,26 +20,13 @@ NodeNumber = Annotated[int, Field(ge=0, le=_MAX_NODE)]
 NodeText = Annotated[str, Field(pattern=r"^[0-9]{1,20}$"), AfterValidator(_check_node)]
 
 
-class _Answer(BaseModel):
+class AnswerModel(BaseModel):
     """An answer may have more fields than are described: clients ignore what they do not know."""
 
     model_config = ConfigDict(extra="allow")
 
 
-class CommandBody(BaseModel):
-    """A command to one biobot."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-    biobot: NodeNumber | NodeText = Field(description="Its id, as a number or as a decimal string (a program may not hold 64-bit numbers)")
-    action: Literal["start", "stop", "turn_left", "turn_right"]
-    operator: str = Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$", description="Who gives the command, for the record")
-    ttl_ms: int = Field(default=5_000, ge=1, le=60_000, description="Not carried out later than this after now")
-    hold_ms: int = Field(default=0, ge=0, le=3_600_000, description="The biobot ends the command by itself after this; 0: never")
-    id: CommandId | None = Field(default=None, description="Repeat a request under the same id, and the command is given once")
-
-
-class Problem(_Answer):
+class Problem(AnswerModel):
     """An error (RFC 9457)."""
 
     type: str
@@ -49,38 +35,7 @@ class Problem(_Answer):
     detail: str
 
 
-class StageView(_Answer):
-    """One answer of the gateway."""
-
-    stage: Literal["accepted", "radio_confirmed", "biobot_confirmed", "refused", "failed", "unknown"]
-    wall_ns: int
-    reason: str
-    mode: Literal["CRW", "S"] | None
-
-
-class CommandView(_Answer):
-    """A command and what became of it; ``outcome`` null: under way."""
-
-    id: str
-    biobot: int
-    gateway: str
-    action: str
-    operator: str
-    issued_wall_ns: int
-    ttl_ms: int
-    hold_ms: int
-    stages: list[StageView]
-    outcome: Literal["biobot_confirmed", "refused", "failed", "unknown", "undelivered"] | None
-    reason: str
-
-
-class CommandList(_Answer):
-    """The newest commands, newest first."""
-
-    commands: list[CommandView]
-
-
-class GatewayItem(_Answer):
+class GatewayItem(AnswerModel):
     """A gateway."""
 
     name: str
@@ -90,7 +45,7 @@ class GatewayItem(_Answer):
     counters: dict[str, int]
 
 
-class ClockItem(_Answer):
+class ClockItem(AnswerModel):
     """The wall clock of one start of a gateway, beside the site's, by encounters that another gateway told of too."""
 
     wall_anchor_ns: int = Field(description="Names the start: UTC minus the monotonic clock, as that start had it")
@@ -108,13 +63,13 @@ class GatewayClockItem(GatewayItem):
     clocks: list[ClockItem]
 
 
-class GatewayList(_Answer):
+class GatewayList(AnswerModel):
     """All gateways."""
 
     gateways: list[GatewayClockItem]
 
 
-class BiobotItem(_Answer):
+class BiobotItem(AnswerModel):
     """A biobot; null where nobody has said it yet."""
 
     id: int
@@ -136,16 +91,17 @@ class BiobotItem(_Answer):
     n_encounters: int
 
 
-class BiobotList(_Answer):
+class BiobotList(AnswerModel):
     """All biobots and gateways; ``now_wall_ns`` is this service's clock."""
 
     now_wall_ns: int
     gateways: list[GatewayItem]
     mappers: list[str] = Field(description="Mappers on the bus, this one among them")
+    commanders: list[str] = Field(description="Commanders on the bus: whom they move is stopped when they are gone")
     biobots: list[BiobotItem]
 
 
-class RecordName(_Answer):
+class RecordName(AnswerModel):
     """The identity of a record."""
 
     gateway: str
@@ -154,7 +110,7 @@ class RecordName(_Answer):
     sequence: int
 
 
-class JointItem(_Answer):
+class JointItem(AnswerModel):
     """One encounter that several gateways told of."""
 
     is_counted: bool = Field(description="Of its records, this is the one that stands for it in map and counts")
@@ -164,7 +120,7 @@ class JointItem(_Answer):
     records: list[RecordName]
 
 
-class EncounterItem(_Answer):
+class EncounterItem(AnswerModel):
     """An encounter in its newest revision; instants are on the site's wall clock [ns since 1970, UTC]."""
 
     gateway: str
@@ -184,7 +140,7 @@ class EncounterItem(_Answer):
     joint: JointItem | None = Field(description="As things stand now; null: no other gateway told of it")
 
 
-class EncounterList(_Answer):
+class EncounterList(AnswerModel):
     """Encounters in the order in which they were last changed; ``next`` is the cursor for what follows, null at the end."""
 
     encounters: list[EncounterItem]
@@ -192,24 +148,7 @@ class EncounterList(_Answer):
     next: int | None
 
 
-class MissionPhaseItem(_Answer):
-    """A phase that began."""
-
-    gateway: str
-    phase: Literal["idle", "dispersion", "landmark_selection", "exploration", "done"]
-    t_start_wall_ns: int
-    landmarks: list[int]
-    reason: str
-
-
-class MissionView(_Answer):
-    """The phases of all missions, and the newest one."""
-
-    phase: MissionPhaseItem | None
-    phases: list[MissionPhaseItem]
-
-
-class PointItem(_Answer):
+class PointItem(AnswerModel):
     """An encounter of the subsample, placed; ``t`` in seconds since 1970."""
 
     x: float
@@ -220,7 +159,7 @@ class PointItem(_Answer):
     component: int
 
 
-class HoleItem(_Answer):
+class HoleItem(AnswerModel):
     """A hole called real."""
 
     outline: list[Place]
@@ -231,7 +170,7 @@ class HoleItem(_Answer):
     confidence: float | None
 
 
-class LandmarkItem(_Answer):
+class LandmarkItem(AnswerModel):
     """Where a landmark stood."""
 
     id: int
@@ -240,14 +179,14 @@ class LandmarkItem(_Answer):
     component: int
 
 
-class ComplexView(_Answer):
+class ComplexView(AnswerModel):
     """The Rips complex at the drawn scale, as indices of points."""
 
     edges: list[list[int]]
     triangles: list[list[int]]
 
 
-class MapView(_Answer):
+class MapView(AnswerModel):
     """The map; lengths in ``parameters.length_unit``."""
 
     version: int
@@ -277,7 +216,7 @@ class MapView(_Answer):
     warnings: list[str]
 
 
-class MapStatusView(_Answer):
+class MapStatusView(AnswerModel):
     """The newest finished map and what has come since it was begun; the map's own fields are null before the first."""
 
     now_wall_ns: int
@@ -297,7 +236,7 @@ class MapStatusView(_Answer):
     last_encounter_wall_ns: int | None = Field(description="End of the newest encounter of the map")
 
 
-class DiagramInterval(_Answer):
+class DiagramInterval(AnswerModel):
     """One interval; ``is_real``: it counts in the Betti number."""
 
     birth: float
@@ -306,7 +245,7 @@ class DiagramInterval(_Answer):
     is_real: bool
 
 
-class DiagramView(_Answer):
+class DiagramView(AnswerModel):
     """The persistence diagram by dimension."""
 
     version: int
@@ -317,14 +256,14 @@ class DiagramView(_Answer):
     n_encounters: int
 
 
-class EnginesView(_Answer):
+class EnginesView(AnswerModel):
     """What computes the maps."""
 
     kernels: Literal["compiled", "plain"] = Field(description="plain: there are no compiled ones here; the same maps, but later")
     persistence: str | None = Field(description="Library and version; null: none is installed, so no map can be made")
 
 
-class HealthView(_Answer):
+class HealthView(AnswerModel):
     """The process answers; counters since its start."""
 
     status: Literal["ok", "degraded"] = Field(description="degraded: it answers, but there are faults")
@@ -337,7 +276,7 @@ class HealthView(_Answer):
     engines: EnginesView
 
 
-class ReadyView(_Answer):
+class ReadyView(AnswerModel):
     """Whether the service can do its work: it is connected to the bus."""
 
     is_ready: bool

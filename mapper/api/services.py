@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
+from mapper.emergency_stop import EmergencyStop
 from mapper.fleet import Fleet
+from mapper.mission_orders import MissionDesk
+from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store_thread import StoreThread
 from mapper.types import KernelsKind
 
@@ -27,6 +30,9 @@ class Services:
     fleet: Fleet
     current_map: CurrentMap
     commands: CommandDesk
+    emergency_stop: EmergencyStop
+    mission: MissionDesk
+    accounts: StimulationAccounts
     changes: Changes
     is_connected: Callable[[], bool]
     counters: Callable[[], Mapping[str, int]]

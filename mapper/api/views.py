@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping
 import msgspec
 from fastapi import Request, Response
 
-from firmware_protocol.contract.records import EncounterRecord, GatewayStatus, MissionRecord
-from mapper.commands import Command
+from firmware_protocol.contract.records import EncounterRecord, GatewayStatus
 from mapper.current_map import MapStatus
 from mapper.encounter_pages import JointEncounter
 from mapper.fleet import BiobotView, GatewayView
@@ -32,26 +31,6 @@ def versioned_response(request: Request, body: bytes, *, etag: str, media_type: 
     if _matches(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     return Response(body, media_type=media_type, headers=headers)
-
-
-def view_command(command: Command) -> dict[str, object]:
-    """Describe a command as it stands."""
-    request = command.request
-    return {
-        "id": request.command_id,
-        "biobot": request.node,
-        "gateway": command.gateway,
-        "action": request.action,
-        "operator": request.operator,
-        "issued_wall_ns": request.issued_wall_ns,
-        "ttl_ms": request.ttl_ms,
-        "hold_ms": request.hold_ms,
-        "stages": [
-            {"stage": stage.stage, "wall_ns": stage.wall_ns, "reason": stage.reason, "mode": stage.mode} for stage in command.stages
-        ],
-        "outcome": command.outcome,
-        "reason": command.reason,
-    }
 
 
 def view_gateway(view: GatewayView) -> dict[str, object]:
@@ -172,21 +151,6 @@ def _view_clock(clock: SourceClock) -> dict[str, object]:
         "since_wall_ns": clock.since_ns,
         "is_corrected": clock.is_corrected,
     }
-
-
-def view_mission(records: Iterable[MissionRecord]) -> dict[str, object]:
-    """Describe all phases, in the order in which they began, and the newest."""
-    phases = [
-        {
-            "gateway": record.gateway,
-            "phase": record.phase,
-            "t_start_wall_ns": record.t_start_ns + record.wall_anchor_ns,
-            "landmarks": record.landmarks,
-            "reason": record.reason,
-        }
-        for record in records
-    ]
-    return {"phase": phases[-1] if phases else None, "phases": phases}
 
 
 def _matches(if_none_match: str | None, etag: str) -> bool:

@@ -12,28 +12,44 @@ export function makeFetcher(path) {
   };
 }
 
-/** Give a command and wait for its end: {isFine, text}. */
-export async function sendCommand({ key, action, operator }) {
-  const id = crypto.randomUUID();
-  let response;
+const UNREACHED = "no answer from the mapper: nobody can tell whether it was carried out";
+const STAGES = { accepted: "accepted by the gateway", radio_confirmed: "sent by the radio" };
+const OUTCOMES = {
+  biobot_confirmed: "confirmed by the biobot",
+  refused: "refused",
+  failed: "failed",
+  unknown: "sent, but nobody can tell whether it was carried out",
+  undelivered: "not delivered",
+};
+
+/** What to tell of an answer to a command, as it stands: {isFine, text}; isFine is null while it is under way. */
+export function describe({ outcome, stage, reason }) {
+  const words = outcome ? OUTCOMES[outcome] ?? outcome : STAGES[stage] ?? "no answer yet";
+  return { isFine: outcome ? outcome === "biobot_confirmed" : null, text: reason ? `${words}: ${reason}` : words };
+}
+
+/** Send JSON; what comes back, and whether it is no error. An error's `detail` says what is wrong. */
+export async function post(path, body) {
+  const response = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+  return { isFine: response.ok, answer: await response.json().catch(() => ({ detail: `the mapper answered ${response.status}` })) };
+}
+
+/** Give a command and follow it to its end, telling each stage: {isFine, text}. */
+export async function sendCommand({ key, action, operator, onStage }) {
   try {
-    response = await fetch("/api/v1/commands", {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify({ biobot: key, action, operator, id }),
-    });
+    const given = await post("/api/v1/commands", { biobot: key, action, operator, id: crypto.randomUUID(), wait_s: 0 });
+    if (!given.isFine) return { isFine: false, text: given.answer.detail };
+    let command = given.answer;
+    while (command.outcome === null) {
+      onStage(describe({ stage: command.stages.at(-1)?.stage }).text);
+      const response = await fetch(`/api/v1/commands/${command.id}?wait_s=20&seen=${command.stages.length}`, { cache: "no-store" });
+      if (!response.ok) return { isFine: false, text: UNREACHED };
+      command = await response.json();
+    }
+    return describe(command);
   } catch {
-    return { isFine: false, text: "no answer from the mapper: nobody can tell whether it was carried out" };
+    return { isFine: false, text: UNREACHED };
   }
-  const answer = await response.json().catch(() => ({}));
-  if (!response.ok) return { isFine: false, text: answer.detail ?? `the mapper answered ${response.status}` };
-  const words = {
-    biobot_confirmed: "confirmed by the biobot",
-    failed: "failed",
-    unknown: "sent, but nobody can tell whether it was carried out",
-  };
-  const reason = answer.reason ? `: ${answer.reason}` : "";
-  return { isFine: answer.outcome === "biobot_confirmed", text: `${words[answer.outcome] ?? answer.outcome}${reason}` };
 }
 
 /** Call `onVersions` with the newest version numbers whenever one has changed, and `onState` with whether the line is up. */

@@ -110,7 +110,8 @@ export class Roster {
     start.disabled = true;
     this.tell(`${label}: sent …`, null);
     const begun = performance.now();
-    const { isFine, text } = await sendCommand({ key: row.biobot.key, action, operator });
+    const onStage = (stage) => this.tell(`${label}: ${stage} …`, null);
+    const { isFine, text } = await sendCommand({ key: row.biobot.key, action, operator, onStage });
     start.disabled = false;
     this.tell(`${label}: ${text} (${((performance.now() - begun) / 1000).toFixed(1)} s)`, isFine);
   }

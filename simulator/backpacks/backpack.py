@@ -19,6 +19,7 @@ from firmware_protocol.messages import (
     MAX_ENCOUNTERS_WITH_PATHS_PER_BATCH,
     MAX_NEIGHBOURS_PER_PART,
     Acknowledge,
+    Action,
     ConfigurationRequest,
     ConfigurationResult,
     Configure,
@@ -96,10 +97,8 @@ class Backpack:
     ----------
     node, boot, eui64
         Node number, count of starts, and hardware address.
-    seed
-        For its draws, which are keyed by (seed, node, index).
-    now_ms
-        What its clock shows at first.
+    seed, now_ms
+        For its draws, which are keyed by (seed, node, index); what its clock shows at first.
     sense_neighbours
         Asked when a report is due: who is heard within communication range now.
     read_path_mm
@@ -257,8 +256,12 @@ class Backpack:
             case TimeSyncRequest():
                 reply = TimeSyncReply(token=message.token, received_ms=tick(now_ms))
                 return [Transmission(payload=self._encode(0, reply, now_ms=now_ms), sequence=0, message=reply, is_first=True)]
-            case Stimulate():
-                return list(self._settle(self._stimulator.submit(message, now_ms=now_ms), now_ms=now_ms))
+            case Stimulate(action=action):
+                if is_broadcast and action is not Action.STOP:  # a train for everybody is nobody's wish
+                    self.n_ignored += 1
+                    return []
+                at_ms = self._spread(now_ms) if is_broadcast else now_ms
+                return list(self._settle(self._stimulator.submit(message, now_ms=now_ms), now_ms=now_ms, answer_at_ms=at_ms))
             case Configure():
                 return self._configure(message, now_ms=now_ms, is_broadcast=is_broadcast)
             case ConfigurationRequest(token=token):
@@ -291,7 +294,7 @@ class Backpack:
             acknowledged.append(Acknowledged(sequence=sequence, message=done))
         return acknowledged
 
-    def _settle(self, outcomes: Sequence[Outcome], *, now_ms: int) -> list[Actuation]:
+    def _settle(self, outcomes: Sequence[Outcome], *, now_ms: int, answer_at_ms: int | None = None) -> list[Actuation]:
         actuations = []
         for outcome in outcomes:
             if outcome.actuation is not None:
@@ -302,7 +305,7 @@ class Backpack:
                 reply = StimulateReply(
                     command=outcome.command, result=outcome.result, executed_ms=tick(outcome.decided_ms), mode=self.mode
                 )  # fmt: skip
-                self._outbox.put_once(reply, now_ms=now_ms)
+                self._outbox.put_once(reply, now_ms=now_ms, at_ms=answer_at_ms)
         return actuations
 
     def _expect(self, actuation: Actuation, *, now_ms: int) -> None:

@@ -73,12 +73,14 @@ class Outbox:
     _next_sequence: int = 0
     _outstanding: dict[int, _Outstanding] = field(default_factory=dict)
     _waiting: deque[Uplink] = field(default_factory=deque)
+    _later: list[tuple[int, Uplink]] = field(default_factory=list)
+    """Answers to a broadcast, and when the random wait of each is over."""
     _n_drawn: int = 0
 
     @property
     def is_empty(self) -> bool:
         """Everything given to the outbox has been acknowledged."""
-        return not self._outstanding and not self._waiting
+        return not self._outstanding and not self._waiting and not self._later
 
     @property
     def n_free(self) -> int:
@@ -110,15 +112,30 @@ class Outbox:
         self._waiting.append(message)
         return True
 
-    def put_once(self, message: Uplink, *, now_ms: int) -> bool:
-        """Take an answer as ``put`` does, unless one that says the same is under way: that one is sent again now."""
+    def put_once(self, message: Uplink, *, now_ms: int, at_ms: int | None = None) -> bool:
+        """Take an answer as ``put`` does, unless one that says the same is under way: that one is sent again.
+
+        Either goes at ``at_ms`` at the earliest, where that is given; of those that wait so, ``max_waiting`` at most.
+        """
+        due_ms = now_ms if at_ms is None else at_ms
         same = [one for one in self._outstanding.values() if _says_the_same(one.message, message)]
         for one in same:
-            one.due_ms = min(one.due_ms, now_ms)
-        return bool(same) or any(_says_the_same(one, message) for one in self._waiting) or self.put(message)
+            one.due_ms = min(one.due_ms, due_ms)
+        for at, (later_ms, one_later) in enumerate(self._later):
+            if _says_the_same(one_later, message):
+                self._later[at] = (min(later_ms, due_ms), one_later)
+                return True
+        if same or any(_says_the_same(one, message) for one in self._waiting):
+            return True
+        if due_ms <= now_ms or len(self._later) >= self.config.max_waiting:
+            return self.put(message)
+        self._later.append((due_ms, message))
+        return True
 
     def take_due(self, now_ms: int) -> list[Copy]:
         """Return what is to be sent now, in order of sequence numbers; each copy's next repetition is planned at once."""
+        self._later, over = [one for one in self._later if one[0] > now_ms], [one for one in self._later if one[0] <= now_ms]
+        self._waiting.extend(message for _, message in over)
         while (at := self._next_waiting()) is not None:
             self._outstanding[self._next_sequence] = _Outstanding(message=self._waiting[at], due_ms=now_ms)
             del self._waiting[at]
@@ -135,7 +152,7 @@ class Outbox:
         """Return when ``take_due`` has something to give; None where nothing is kept."""
         if self._next_waiting() is not None:
             return 0
-        return min((one.due_ms for one in self._outstanding.values()), default=None)
+        return min((*(one.due_ms for one in self._outstanding.values()), *(due_ms for due_ms, _ in self._later)), default=None)
 
     def is_of_given_numbers(self, message: Acknowledge) -> bool:
         """Tell whether an acknowledgement is not of numbers that were never given."""

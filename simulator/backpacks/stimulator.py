@@ -25,12 +25,12 @@ _US_PER_S = 1_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Actuation:
-    """What is done to the insect: by a command, or (None) because its hold is over.
+    """What is done to the insect: by a command, or (None) because a hold is over.
 
     Parameters
     ----------
     mode
-        S: it is made to stand still. CRW: it is let go. None: it is left in the mode it is in.
+        S: it is made to stand still. CRW: it is let go. None: it is left in the mode it is in, as after a turn.
     action
         What the command asked for.
     train
@@ -62,8 +62,9 @@ class Stimulator:
     train): what waits behind it is answered EXPIRED. Any other command waits while a pulse train runs, at most four of them, and is
     refused if it waits longer than its time to live. DONE says that the train was delivered, not that the insect responded to it. A
     turn without a train, and a pulse that does not fit into its period, is answered BAD_PARAMETER; a train beyond the limits that the
-    backpack announces, REFUSED_LIMIT. When the hold of a stop is over, the insect is let go; when that of a start or
-    turn is, it is left to itself as it is. The last 32 commands are remembered, so that a repetition is answered and not obeyed.
+    backpack announces, REFUSED_LIMIT. When the hold of a stop is over, the insect is let go. When that of a start or turn is, whoever
+    controlled the motion has gone: the insect is stopped, without a train, and one that runs is cut off. The last 32 commands are
+    remembered, so that a repetition is answered and not obeyed.
     """
 
     _known: OrderedDict[int, Outcome] = field(default_factory=OrderedDict)
@@ -96,9 +97,7 @@ class Stimulator:
         """Do what is due: end a hold, execute or refuse what waited."""
         outcomes = []
         if self._hold_until_ms is not None and now_ms >= self._hold_until_ms:
-            release = Actuation(mode=WireMode.CRW if self._is_held_still else None, cause=WireCause.NATURAL, command=None)
-            outcomes.append(Outcome(command=None, result=StimulationResult.DONE, decided_ms=now_ms, actuation=release))
-            self._hold_until_ms, self._is_held_still = None, False
+            outcomes.append(Outcome(command=None, result=StimulationResult.DONE, decided_ms=now_ms, actuation=self._end_hold(now_ms)))
         kept: deque[tuple[Stimulate, int]] = deque()
         while self._queue:
             command, received_ms = self._queue.popleft()
@@ -117,6 +116,14 @@ class Stimulator:
         if self._hold_until_ms is not None:
             dues.append(self._hold_until_ms)
         return min(dues, default=None)
+
+    def _end_hold(self, now_ms: int) -> Actuation:
+        was_held_still, self._is_held_still = self._is_held_still, not self._is_held_still
+        self._hold_until_ms = None
+        if was_held_still:
+            return Actuation(mode=WireMode.CRW, cause=WireCause.NATURAL, command=None)
+        self._train_until_ms = min(self._train_until_ms, now_ms)
+        return Actuation(mode=WireMode.S, cause=WireCause.COMMAND, command=None)
 
     def _execute(self, command: Stimulate, *, now_ms: int) -> Outcome:
         has_train = _is_well_formed(command) and _is_within_limits(command) and command.duration_ms > 0

@@ -173,17 +173,59 @@ def test_an_urgent_payload_does_not_wait_for_a_window_that_is_less_than_the_link
         link.send(b"STOP", now_ns=0, is_urgent=True)
 
     payloads = [frame[4:] for frame in link.take_frames() if frame[0] == 3]
-    assert payloads == [b"0", b"1", b"2", b"3", *[b"STOP"] * 12]
+    assert payloads == [*[b"STOP"] * 12, b"0", b"1", b"2", b"3"], "nothing had been handed out when the first of them came"
+
+
+def test_an_urgent_payload_goes_before_all_that_was_not_handed_out_and_behind_earlier_urgent_ones() -> None:
+    link = Link(role=Role.INITIATOR, config=LinkConfig(window=4))
+    link.open(session=1, now_ns=0)
+    link.receive(b"\x02\x01\x00\x00\x01", now_ns=0)
+    link.take_frames()
+    for i in range(40):
+        link.send(b"%d" % i, now_ns=0)
+    first = link.take_frames(at_most=3)
+    for i in range(3):
+        link.send(b"STOP %d" % i, now_ns=0, is_urgent=True)
+
+    frames = [*first, *link.take_frames()]
+    assert [frame[4:] for frame in frames] == [b"0", b"1", b"2", b"STOP 0", b"STOP 1", b"STOP 2", b"3"]
+    assert [frame[3] for frame in frames] == [0, 1, 2, 3, 4, 5, 6], "numbers are given in the order of the line"
+
+
+@given(data=st.data())
+def test_what_is_taken_back_never_goes_out_and_all_else_does_once_in_order(data: st.DataObject) -> None:
+    """Whatever is sent, urgent or not, taken back, handed out one by one and acknowledged: the peer hears the rest, each once."""
+    wire = opened()
+    sent: dict[int, bytes] = {}
+    taken_back: set[bytes] = set()
+    for i in range(data.draw(st.integers(1, 60))):
+        match data.draw(st.sampled_from(("send", "urgent", "cancel", "take", "run"))):
+            case "cancel" if sent:
+                ticket = data.draw(st.sampled_from(sorted(sent)))
+                if wire.base.cancel(ticket):
+                    taken_back.add(sent[ticket])
+            case "take":
+                wire.base.take_frames(at_most=1)  # and lost
+            case "run":
+                wire.run(1)
+            case kind:
+                payload = b"%d" % i
+                sent[wire.base.send(payload, now_ns=wire.now_ns, is_urgent=kind == "urgent")] = payload
+    wire.run(200)
+
+    assert sorted(wire.at_dongle) == sorted(set(sent.values()) - taken_back)
 
 
 def test_a_payload_is_taken_back_as_long_as_it_was_not_sent() -> None:
     wire = opened()
     tickets = [wire.base.send(b"%d" % i, now_ns=wire.now_ns) for i in range(20)]
 
-    assert [wire.base.cancel(tickets[at]) for at in (0, 15, 16, 19, 19)] == [False, False, True, True, False]
+    lost = wire.base.take_frames(at_most=3)
+    assert [wire.base.cancel(tickets[at]) for at in (0, 2, 3, 16, 19, 19)] == [False, False, True, True, True, False]
     wire.run(10)
 
-    assert wire.at_dongle == [b"%d" % i for i in range(20) if i not in {16, 19}]
+    assert len(lost) == 3
+    assert wire.at_dongle == [b"%d" % i for i in range(20) if i not in {3, 16, 19}]
 
 
 @dataclass

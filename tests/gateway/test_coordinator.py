@@ -12,13 +12,13 @@ from itertools import pairwise
 import pytest
 
 from firmware_protocol.dialects.choice import make_host
-from firmware_protocol.dialects.interface import HostEvent
+from firmware_protocol.dialects.interface import Host, HostEvent
 from firmware_protocol.dialects.native import NativeHost
 from firmware_protocol.envelope import RadioReceived, RadioStatus
 from firmware_protocol.framing.cobs import CobsDecoder, encode_frame
 from firmware_protocol.message_codec import decode_downlink
 from firmware_protocol.messages import HelloRequest
-from firmware_protocol.units import LAST_NODE_ADDRESS, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from firmware_protocol.units import BROADCAST, LAST_NODE_ADDRESS, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.config import LinkTable
 from gateway.coordinator import Coordinator
 from gateway.downlink import DownlinkSender
@@ -83,7 +83,7 @@ def _a_coordinator(
     open_port: Callable[[], Awaitable[Transport]],
     *,
     on_radio: Callable[[RadioMessage], "asyncio.Future[None] | None"] = lambda _: None,
-    make: Callable[[], NativeHost] | None = None,
+    make: Callable[[], Host] | None = None,
     health: Health | None = None,
     on_state: Callable[[str, RadioState, str], None] | None = None,
     radio: str = "r",
@@ -246,14 +246,54 @@ def test_an_urgent_message_goes_over_every_radio_that_heard_the_biobot_of_late_a
             hear(7, "c", 0x30, sent_ms=1)
             hear(8, "c", 0x30, sent_ms=1)  # and that address is another's by now
             sender.send(NodeId(7), HelloRequest())
-            assert len(sender.send_everywhere(NodeId(7), HelloRequest())) == 2
+            sender.send(NodeId(7), HelloRequest(), is_urgent=True)
+            assert len(sender.send_elsewhere(NodeId(7), HelloRequest())) == 1
             await until(lambda: sum(map(len, asked().values())) == 3, what="the radios were asked")
             assert asked() == {"a": [0x10], "b": [0x20, 0x20], "c": []}
             assert all(not isinstance(decode_downlink(plug.dongle.requests[0].payload), str) for name, plug in plugs.items() if name != "c")
             hear(9, "b", 0x20, sent_ms=1)
             with pytest.raises(RadioUnavailableError, match="another biobot's now"):
                 sender.send(NodeId(7), HelloRequest())
-            assert len(sender.send_everywhere(NodeId(7), HelloRequest())) == 1, "a STOP still goes where the biobot may be"
+            assert len(sender.send_elsewhere(NodeId(7), HelloRequest())) == 1, "a STOP still goes where the biobot may be"
+
+    asyncio.run(story())
+
+
+def test_a_message_to_all_goes_out_by_broadcast_over_every_radio_that_is_up() -> None:
+    async def story() -> None:
+        plugs = {name: _a_plug(dialect) for name, dialect in (("a", "native"), ("b", "xbee"), ("c", "znp"), ("down", "native"))}
+        coordinators = {
+            name: _a_coordinator(plug.open, radio=name, make=partial(make_host, "native" if name == "down" else dialect))
+            for (name, plug), dialect in zip(plugs.items(), ("native", "xbee", "znp", ""), strict=True)
+        }
+        sender = DownlinkSender(coordinators=coordinators, nodes=NodeBook(gateway="g"))
+        up = ("a", "b", "c")
+        async with _running(*(coordinators[name].run() for name in up), *(plugs[name].run() for name in up)):
+            await until(lambda: all(coordinators[name].is_up for name in up), what="three are up")
+            sendings = sender.send_to_all(HelloRequest())
+            assert sorted(sendings) == ["a", "b", "c"]
+            await until(lambda: all(plugs[name].dongle.requests for name in up), what="the radios were asked")
+            assert {request.destination for name in up for request in plugs[name].dongle.requests} == {BROADCAST}
+
+    asyncio.run(story())
+
+
+def test_what_is_withdrawn_in_the_step_in_which_it_was_sent_was_never_sent_and_says_so() -> None:
+    async def story() -> None:
+        plug = _a_plug()
+        coordinator = _a_coordinator(plug.open)
+        async with _running(coordinator.run(), plug.run()):
+            await until(lambda: coordinator.is_up, what="the radio is up")
+            start = coordinator.send(destination=ShortAddress(0x10), payload=b"start")
+            assert coordinator.withdraw(start)
+            timed = coordinator.send_timed(destination=ShortAddress(0x10), make=lambda _: b"timed")
+            assert coordinator.withdraw(timed)
+            assert (await start).fate is (await timed).fate is Fate.NOT_SENT
+            assert coordinator.n_pending == 0
+            stop = coordinator.send(destination=LAST_NODE_ADDRESS, payload=b"stop", is_urgent=True)
+            assert (await stop).fate is Fate.SENT
+            assert not coordinator.withdraw(stop)
+            assert not plug.dongle.requests
 
     asyncio.run(story())
 

@@ -17,6 +17,7 @@ from gateway.journal_file.blobs import DamagedSegmentError, checksum
 from gateway.record_batches import history_batches
 from tests.gateway.fake_radio import until
 from tests.gateway.makers import a_mode_record, an_encounter_record
+from tests.gateway.schema_3 import make_schema_2
 from tests.gateway.test_journal_segments import _Clock, _commit, _fill, _opened, _tidy, a_report
 
 DAY_NS = 86_400 * 10**9
@@ -144,11 +145,7 @@ def test_how_long_gateways_ran_is_known_over_a_restart_and_by_files_of_version_2
     path, clock = tmp_path / "j", _Clock()
     with _opened(path, clock) as file:
         _fill(file, clock, n_segments=10, step_s=100)
-    with contextlib.closing(sqlite3.connect(path)) as database:  # as version 2 was
-        database.execute("DROP VIEW commits")
-        for table in ("segments", "windows", "audit", "watermarks"):
-            database.execute(f"ALTER TABLE {table} DROP COLUMN ran_ns")
-        database.execute("PRAGMA user_version = 2")
+    make_schema_2(path)
     for _ in range(3):
         clock.now_ns = 0  # the machine was started anew
         with _opened(path, clock) as file:

@@ -78,6 +78,7 @@ def _with_desk(path: Path, story: Callable[[_Desk], Awaitable[None]]) -> None:
                 on_duplicate=lambda _node, _before, _after: None,
                 on_diagnostic=lambda _node, _diagnostic: None,
                 on_configuration=lambda _node, _report: None,
+                on_limits=lambda _node, _limits: None,
                 on_unknown_clock=lambda _: None,
             )
         )

@@ -69,6 +69,7 @@ def test_a_restart_at_the_end_of_dispersion_waits_for_the_biobots_it_knew(tmp_pa
             journal=journal,
             reader=reader,
             health=health,
+            instant_of=journal.identity.instant_of,
         )
         mission = Mission(
             config=MissionTable(is_enabled=True, dispersion_s=60),
@@ -106,6 +107,7 @@ def _nobody() -> IntakeListeners:
         on_duplicate=lambda _node, _before, _after: None,
         on_diagnostic=lambda _node, _diagnostic: None,
         on_configuration=lambda _node, _report: None,
+        on_limits=lambda _node, _limits: None,
         on_unknown_clock=lambda _: None,
     )
 

@@ -1,166 +1,168 @@
-"""Laws of the gate, on a real journal and with a radio that answers at once."""
+"""Laws of the gate, on a real journal and with radios and biobots that do as the test says."""
 
 import asyncio
+import itertools
 import sqlite3
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction
-from firmware_protocol.messages import Downlink, Stimulate, StimulateReply, StimulationResult, WireMode
-from firmware_protocol.units import BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
-from gateway.config import StimulationTable
-from gateway.downlink import DownlinkSender
-from gateway.health import Health
-from gateway.journal import Journal
-from gateway.nodes import NodeBook, NodeMemory
-from gateway.radio import Fate, RadioOutcome
-from gateway.stimulation import StimulationGate
-from tests.gateway.harness import a_request
+from msgspec.structs import replace
 
-_CONFIG = StimulationTable(stop_retry_s=0.02, stop_attempts=3, reply_timeout_s=0.2)
+from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, Stage, StimulationAction
+from firmware_protocol.contract.records import Mode
+from firmware_protocol.messages import StimulationResult
+from firmware_protocol.units import BootId, Nanoseconds, NodeId, ShortAddress
+from gateway.journal_file import JournalReader, JournalWrite
+from gateway.nodes import NodeMemory
+from gateway.radio import Fate
+from tests.gateway.fake_air import QUICK, Frame, Site, a_command, a_site
+from tests.gateway.fake_radio import until
 
-
-class _Air(DownlinkSender):
-    """Takes every message; the biobot answers a STOP from frame ``answers_from`` on."""
-
-    def __init__(self, nodes: NodeBook) -> None:
-        super().__init__(coordinators={}, nodes=nodes)
-        self.nodes = nodes
-        self.n_radios = 1
-        self.gate: StimulationGate | None = None
-        self.answers_from = 1
-        self.is_broken = False
-        self.n_sent = 0
-
-    def send(self, node: NodeId, message: Downlink, *, is_urgent: bool = False) -> "asyncio.Future[RadioOutcome]":  # noqa: ARG002  # the sender's own signature
-        if self.is_broken:
-            raise ValueError("a fault nobody thought of")
-        assert isinstance(message, Stimulate)
-        self.n_sent += 1
-        loop = asyncio.get_running_loop()
-        future: asyncio.Future[RadioOutcome] = loop.create_future()
-        future.set_result(RadioOutcome(fate=Fate.SENT))
-        if self.n_sent >= self.answers_from and self.gate is not None:
-            reply = StimulateReply(command=message.command, result=StimulationResult.DONE, executed_ms=Milliseconds(1), mode=WireMode.S)
-            loop.call_soon(self.gate.on_reply, node, reply)
-        return future
-
-    def send_everywhere(self, node: NodeId, message: Downlink) -> "list[asyncio.Future[RadioOutcome]]":
-        return [self.send(node, message, is_urgent=True) for _ in range(self.n_radios)]
+_STOP, _START, _LEFT = StimulationAction.STOP, StimulationAction.START, StimulationAction.TURN_LEFT
 
 
-def _with_gate(path: Path, story: Callable[[StimulationGate, _Air, Journal], Awaitable[None]]) -> None:
+def _run(path: Path, *nodes: int, story: Callable[[Site], Awaitable[None]], is_killed: bool = False) -> None:
     async def run() -> None:
-        health = Health()
-        journal = Journal.open(path, health=health)
-        nodes = NodeBook(gateway="g")
-        nodes.heard(
-            node=NodeId(5),
-            boot=BootId(1),
-            radio="r",
-            address=ShortAddress(1),
-            rssi_dbm=RssiDbm(-50),
-            lqi=1,
-            sent_ms=Milliseconds(0),
-            now_ns=1,
-            now_wall_ns=Nanoseconds(1),
-        )
-        air, reader = _Air(nodes), journal.reader()
-        gate = StimulationGate(gateway="g", config=_CONFIG, sender=air, nodes=nodes, journal=journal, reader=reader, health=health)
-        air.gate = gate
-        try:
-            async with asyncio.TaskGroup() as tasks:
-                running = tasks.create_task(journal.run())
-                await story(gate, air, journal)
-                await journal.drain()
-                running.cancel()
-        finally:
-            reader.close()
-            journal.close()
+        async with a_site(path, *(nodes or (5,)), is_killed=is_killed) as site:
+            await story(site)
 
     asyncio.run(run())
 
 
-async def _outcome(gate: StimulationGate, node: int, action: StimulationAction, *, command_id: str | None = None) -> CommandStage:
-    stages: list[CommandStage] = []
-    await gate.handle(a_request(node, action, command_id=command_id), stages.append)
-    return stages[-1]
+def _told(stages: list[CommandStage]) -> list[Stage]:
+    return [stage.stage for stage in stages]
 
 
 def test_a_command_for_a_number_no_biobot_can_have_is_refused_and_harms_nobody(tmp_path: Path) -> None:
-    async def story(gate: StimulationGate, air: _Air, _: Journal) -> None:
+    async def story(site: Site) -> None:
         for node in (0xFFFF, 1 << 63, (1 << 64) - 1):
-            for action in (StimulationAction.START, StimulationAction.STOP):
-                stage = await _outcome(gate, node, action)
-                assert stage.stage is Stage.REFUSED
+            for action in (_START, _STOP):
+                (stage,) = await site.stages(node, action)
+                assert (stage.stage, stage.refusal) == (Stage.REFUSED, Refusal.UNKNOWN_BIOBOT)
                 assert "not known" in stage.reason
-        assert (await _outcome(gate, 5, StimulationAction.STOP)).stage is Stage.BIOBOT_CONFIRMED
-        assert air.n_sent == 1
+        assert _told(await site.stages(5, _STOP))[-1] is Stage.BIOBOT_CONFIRMED
+        assert len(site.air.frames) == 1
 
-    _with_gate(tmp_path / "j", story)
+    _run(tmp_path / "j", story=story)
 
 
-def test_every_frame_of_a_stop_counts_as_a_train_also_after_a_restart(tmp_path: Path) -> None:
-    async def stop(gate: StimulationGate, air: _Air, _: Journal) -> None:
-        air.answers_from = 3
-        assert (await _outcome(gate, 5, StimulationAction.STOP, command_id="stop")).stage is Stage.BIOBOT_CONFIRMED
-        stage = await _outcome(gate, 5, StimulationAction.START)
-        assert stage.stage is Stage.REFUSED
-        assert "pause" in stage.reason
-        assert (await _outcome(gate, 5, StimulationAction.STOP)).stage is Stage.BIOBOT_CONFIRMED, "a stop is never refused"
+def test_a_stop_has_a_train_in_its_first_frame_alone_and_what_follows_waits_for_it(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        site.air.n_elsewhere = 1
+        site.air.answers = lambda _node, n_sent: n_sent >= 5
+        stages = await site.stages(5, _STOP, command_id="stop")
+        assert _told(stages) == [Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED]
+        sent = site.air.sent_to(5)
+        assert [message.duration_ms for message in sent] == [500, *[0] * (len(sent) - 1)]
+        assert len(sent) >= 5, "over both radios, again and again"
+        assert len({message.command for message in sent}) == 1
+        (refused,) = await site.stages(5, _START)
+        assert refused.refusal is Refusal.GAP
+        again = await site.stages(5, _STOP)
+        assert _told(again)[-1] is Stage.BIOBOT_CONFIRMED, "a stop is never refused"
+        assert site.air.sent_to(5)[-1].duration_ms == 0, "but where no train is admitted, it has none"
 
-    async def ask_again(gate: StimulationGate, air: _Air, _: Journal) -> None:
-        assert (await _outcome(gate, 5, StimulationAction.START)).stage is Stage.REFUSED
-        stages: list[CommandStage] = []
-        await gate.handle(a_request(5, StimulationAction.STOP, command_id="stop"), stages.append)
-        assert [stage.stage for stage in stages] == [Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED]
-        assert air.n_sent == 0
+    _run(tmp_path / "j", story=story)
 
-    _with_gate(tmp_path / "j", stop)
-    _with_gate(tmp_path / "j", ask_again)
-    with sqlite3.connect(tmp_path / "j") as database:
-        trains = [ms for (ms,) in database.execute("SELECT train_ms FROM audit WHERE train_ms > 0")]
-    database.close()
-    assert trains == [_CONFIG.duration_ms] * 4
+
+def test_what_was_given_counts_after_a_restart_whatever_is_done_to_the_wall_clock(tmp_path: Path) -> None:
+    async def give(site: Site) -> None:
+        assert _told(await site.stages(5, _START, command_id="start"))[-1] is Stage.BIOBOT_CONFIRMED
+
+    async def ask_a_year_later() -> None:
+        async with a_site(tmp_path / "j", 5, wall_clock=lambda: time.time_ns() + 365 * 86_400 * 10**9) as site:
+            stages = await site.stages(5, _START, command_id="start")
+            assert _told(stages) == [Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED], "answered, and not obeyed"
+            late = a_command(5, _START)
+            heard: list[CommandStage] = []
+            await site.gate.handle(replace(late, issued_wall_ns=Nanoseconds(late.issued_wall_ns + 365 * 86_400 * 10**9)), heard.append)
+            assert heard[-1].refusal is Refusal.GAP
+            assert site.air.frames == []
+
+    _run(tmp_path / "j", story=give)
+    asyncio.run(ask_a_year_later())
+
+
+def test_after_a_kill_no_biobot_gets_a_train_before_one_that_is_not_on_record_must_be_over(tmp_path: Path) -> None:
+    async def nothing(_: Site) -> None:
+        pass
+
+    async def ask(site: Site) -> None:
+        (refused,) = await site.stages(5, _START)
+        assert refused.refusal is Refusal.GAP
+        assert "not stopped in good order" in refused.reason
+        assert _told(await site.stages(5, _STOP))[-1] is Stage.BIOBOT_CONFIRMED
+        assert site.air.sent_to(5)[-1].duration_ms == 0
+
+    async def start(site: Site) -> None:
+        assert _told(await site.stages(5, _START))[-1] is Stage.BIOBOT_CONFIRMED
+
+    _run(tmp_path / "j", story=nothing)
+    _run(tmp_path / "j", story=start)
+    _run(tmp_path / "k", story=nothing, is_killed=True)
+    _run(tmp_path / "k", story=ask)
+
+
+def test_no_number_on_the_wire_is_used_by_two_processes(tmp_path: Path) -> None:
+    numbers: list[int] = []
+
+    async def stop(site: Site) -> None:
+        await site.stages(5, _STOP)
+        numbers.append(site.air.frames[0].message.command)
+
+    for _ in range(3):
+        _run(tmp_path / "j", story=stop, is_killed=True)
+    assert numbers[1] - numbers[0] > 1_000, "stops that did not come to disk had numbers too"
+    assert numbers[2] > numbers[1]
 
 
 def test_a_stop_is_sent_where_the_journal_cannot_be_read_and_nothing_else_is(tmp_path: Path) -> None:
-    async def story(gate: StimulationGate, air: _Air, _: Journal) -> None:
-        gate._reader.close()
-        stage = await _outcome(gate, 5, StimulationAction.TURN_LEFT)
-        assert stage.stage is Stage.REFUSED
+    async def story(site: Site) -> None:
+        assert isinstance(site.gate._reader, JournalReader)
+        site.gate._reader.close()
+        (stage,) = await site.stages(5, _LEFT)
+        assert stage.refusal is Refusal.JOURNAL
         assert "cannot be read" in stage.reason
-        assert air.n_sent == 0
-        assert (await _outcome(gate, 5, StimulationAction.STOP)).stage is Stage.BIOBOT_CONFIRMED
-        assert air.n_sent == 1
+        assert site.air.frames == []
+        assert _told(await site.stages(5, _STOP))[-1] is Stage.BIOBOT_CONFIRMED
+        assert len(site.air.frames) == 1
 
-    _with_gate(tmp_path / "j", story)
+    _run(tmp_path / "j", story=story)
 
 
 def test_a_fault_in_one_command_ends_that_command_alone(tmp_path: Path) -> None:
-    async def story(gate: StimulationGate, air: _Air, _: Journal) -> None:
-        air.is_broken = True
-        stage = await _outcome(gate, 5, StimulationAction.STOP)
+    async def story(site: Site) -> None:
+        site.air.is_broken = True
+        stage = (await site.stages(5, _STOP))[-1]
         assert stage.stage is Stage.UNKNOWN
         assert "nobody thought of" in stage.reason
-        air.is_broken = False
-        assert (await _outcome(gate, 5, StimulationAction.STOP)).stage is Stage.BIOBOT_CONFIRMED
+        site.air.is_broken = False
+        assert _told(await site.stages(5, _STOP))[-1] is Stage.BIOBOT_CONFIRMED
 
-    _with_gate(tmp_path / "j", story)
+    _run(tmp_path / "j", story=story)
 
 
-def test_a_finished_command_keeps_no_listeners(tmp_path: Path) -> None:
-    async def story(gate: StimulationGate, _air: _Air, _journal: Journal) -> None:
-        for _ in range(3):
-            assert (await _outcome(gate, 5, StimulationAction.STOP, command_id="one")).stage is Stage.BIOBOT_CONFIRMED
-        assert gate._finished["one"].listeners == []
+def test_a_listener_that_fails_keeps_no_stop_from_its_end(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        heard: list[Stage] = []
 
-    _with_gate(tmp_path / "j", story)
+        def fail(_: object) -> None:
+            raise ValueError("not me")
+
+        site.gate.listen(lambda _request, stage: fail(stage))
+        site.gate.listen(lambda _request, stage: heard.append(stage.stage))
+        site.gate.listen_to_accounts(fail)
+        await site.gate.handle(a_command(5, _STOP), fail)
+        assert heard == [Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED]
+        assert site.health.counters()["command.broken_listener"] >= 6
+
+    _run(tmp_path / "j", story=story)
 
 
 def test_a_biobot_not_heard_since_the_start_is_stopped_and_never_stimulated(tmp_path: Path) -> None:
-    async def story(gate: StimulationGate, air: _Air, _: Journal) -> None:
-        air.nodes.restore(
+    async def story(site: Site) -> None:
+        site.nodes.restore(
             [
                 NodeMemory(
                     node=NodeId(6),
@@ -175,27 +177,225 @@ def test_a_biobot_not_heard_since_the_start_is_stopped_and_never_stimulated(tmp_
                 )
             ]
         )
-        for action in (StimulationAction.START, StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT):
-            refused = await _outcome(gate, 6, action)
-            assert refused.stage is Stage.REFUSED
+        for action in (_START, _LEFT, StimulationAction.TURN_RIGHT):
+            (refused,) = await site.stages(6, action)
+            assert refused.refusal is Refusal.UNFIT_BIOBOT
             assert "not heard since the gateway started" in refused.reason
-        assert air.n_sent == 0
-        assert (await _outcome(gate, 6, StimulationAction.STOP)).stage is Stage.BIOBOT_CONFIRMED
+        assert site.air.frames == []
+        assert _told(await site.stages(6, _STOP))[-1] is Stage.BIOBOT_CONFIRMED
 
-    _with_gate(tmp_path / "j", story)
+    _run(tmp_path / "j", story=story)
 
 
-def test_a_stop_over_two_radios_counts_as_two_trains_also_after_a_restart(tmp_path: Path) -> None:
-    async def stop(gate: StimulationGate, air: _Air, _: Journal) -> None:
-        air.n_radios = 2
-        assert (await _outcome(gate, 5, StimulationAction.STOP)).stage is Stage.BIOBOT_CONFIRMED
-        assert air.n_sent == 2
+def test_a_commander_that_is_not_there_gets_nothing_but_stops(tmp_path: Path) -> None:
+    async def story() -> None:
+        there = {"anna"}
+        async with a_site(tmp_path / "j", 5, 6, is_commander_there=there.__contains__) as site:
+            assert (await site.stages(5, _LEFT, commander="bert"))[-1].refusal is Refusal.NO_COMMANDER
+            assert _told(await site.stages(5, _LEFT, commander="anna"))[-1] is Stage.BIOBOT_CONFIRMED
+            assert _told(await site.stages(6, _STOP, commander="bert"))[-1] is Stage.BIOBOT_CONFIRMED
 
-    async def count(gate: StimulationGate, air: _Air, journal: Journal) -> None:
-        reader = journal.reader()
-        trains_ms = [entry.train_ms for entry in reader.read_audit_since(0) if entry.train_ms]
+    asyncio.run(story())
+
+
+def test_a_command_gives_its_own_pulse_within_the_limits(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        (refused,) = await site.stages(5, _LEFT, pulse=PulseRequest(frequency_hz=80))
+        assert refused.refusal is Refusal.PULSE
+        await site.stages(5, _LEFT, pulse=PulseRequest(frequency_hz=55, duration_ms=100))
+        (sent,) = site.air.sent_to(5)
+        assert (sent.frequency_hz, sent.duration_ms, sent.amplitude_mv) == (55, 100, QUICK.amplitude_mv)
+        account = site.gate.account_of(NodeId(5))
+        assert account is not None
+        assert (account.n_trains, account.on_ms, account.n_refused, account.n_commands) == (1, 100, 1, 2)
+
+    _run(tmp_path / "j", story=story)
+
+
+def test_every_stage_but_the_last_says_by_when_the_next_one_comes_and_keeps_to_it(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        site.air.answers = lambda _node, _n: False
+        for fate, last in ((Fate.SENT, "the radio has sent it"), (Fate.NO_ACK, "no answer within")):
+            site.air.fate = fate
+            node = 5 if fate is Fate.SENT else 6
+            stages = await site.stages(node, _START)
+            assert stages[-1].stage is Stage.UNKNOWN
+            assert last in stages[-1].reason
+            assert all(stage.operator == "tester" for stage in stages)
+            for before, after in itertools.pairwise(stages):
+                assert before.deadline_wall_ns is not None
+                assert after.wall_ns <= before.deadline_wall_ns + 10**9, "the machine may be busy"
+            assert stages[-1].deadline_wall_ns is None
+            assert len(site.air.sent_to(node)) == 1, "never sent again"
+
+    _run(tmp_path / "j", 5, 6, story=story)
+
+
+def test_a_stop_overtakes_what_waits_for_the_disk_or_for_the_line(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        waiting = asyncio.ensure_future(site.stages(5, _START, command_id="for-the-disk"))
+        await asyncio.sleep(0)
+        assert site.air.frames == []
+        stopping = asyncio.ensure_future(site.stages(5, _STOP))
+        (overtaken,) = await waiting
+        assert (overtaken.stage, overtaken.refusal) == (Stage.REFUSED, Refusal.OVERTAKEN)
+        assert _told(await stopping)[-1] is Stage.BIOBOT_CONFIRMED
+        site.air.is_stuck = True
+        heard: list[CommandStage] = []
+        unwritten = asyncio.ensure_future(site.gate.handle(a_command(6, _START), heard.append))
+        await until(lambda: bool(heard), what="it is on disk, and its frame waits")
+        stopping = asyncio.ensure_future(site.stages(6, _STOP))
+        await unwritten
+        assert _told(heard) == [Stage.ACCEPTED, Stage.REFUSED]
+        assert heard[-1].refusal is Refusal.OVERTAKEN
+        site.air.is_stuck = False
+        assert _told(await stopping)[-1] is Stage.BIOBOT_CONFIRMED
+        assert {frame.message.action.name for frame in site.air.frames if _is_sent(frame)} == {"STOP"}
+        for node in (5, 6):
+            account = site.gate.account_of(NodeId(node))
+            assert account is not None
+            assert account.n_trains == account.n_trains_in_window <= 1, "a train that was taken back counts nowhere"
+
+    _run(tmp_path / "j", 5, 6, story=story)
+
+
+def _is_sent(frame: Frame) -> bool:
+    return frame.sending.done() and frame.sending.result().fate is Fate.SENT
+
+
+def test_a_frame_that_the_line_does_not_take_is_taken_back_with_its_train(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        site.air.fate = Fate.NOT_SENT
+        stages = await site.stages(5, _START)
+        assert _told(stages) == [Stage.ACCEPTED, Stage.FAILED]
+        site.air.fate = Fate.SENT
+        assert _told(await site.stages(5, _START))[-1] is Stage.BIOBOT_CONFIRMED, "no train was given, so none must be waited for"
+
+    _run(tmp_path / "j", story=story)
+
+
+def test_what_the_backpack_refuses_gave_no_train(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        site.air.result = StimulationResult.REFUSED_LIMIT
+        assert _told(await site.stages(5, _START))[-1] is Stage.FAILED
+        site.air.result = StimulationResult.DONE
+        assert _told(await site.stages(5, _START))[-1] is Stage.BIOBOT_CONFIRMED
+
+    _run(tmp_path / "j", story=story)
+
+
+def test_an_answer_after_the_last_stage_is_put_on_record_and_changes_no_outcome(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        site.air.answers = lambda _node, _n: False
+        assert _told(await site.stages(5, _START, command_id="late"))[-1] is Stage.UNKNOWN
+        before = site.gate.account_of(NodeId(5))
+        site.air.reply(5, site.air.frames[0].message)
+        assert _told(await site.stages(5, _START, command_id="late"))[-1] is Stage.UNKNOWN
+        after = site.gate.account_of(NodeId(5))
+        assert before is not None
+        assert after is not None
+        assert (after.n_unknown, after.n_confirmed) == (1, 0)
+        assert after.ready_in_ms < before.ready_in_ms + 1_000
+        await site.journal.drain()
+        reader = site.journal.reader()
+        assert [entry.kind for entry in reader.read_audit(command_id="late")][-1] == "late_reply"
         reader.close()
-        assert trains_ms == [_CONFIG.duration_ms] * 2
 
-    _with_gate(tmp_path / "j", stop)
-    _with_gate(tmp_path / "j", count)
+    _run(tmp_path / "j", story=story)
+
+
+def test_a_train_that_another_biobot_got_counts_for_that_one(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        site.air.answers = lambda _node, _n: False
+        starting = asyncio.ensure_future(site.stages(5, _START))
+        await until(lambda: bool(site.air.frames), what="the frame")
+        site.air.reply(6, site.air.frames[0].message)
+        (refused,) = await site.stages(6, _START)
+        assert refused.refusal is Refusal.GAP
+        assert _told(await starting)[-1] is Stage.UNKNOWN
+
+    _run(tmp_path / "j", 5, 6, story=story)
+
+
+def test_a_biobot_has_no_more_commands_under_way_than_its_backpack_can_keep(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        site.air.answers = lambda _node, _n: False
+        no_train = PulseRequest(duration_ms=0)
+        running = [asyncio.ensure_future(site.stages(5, _START, pulse=no_train)) for _ in range(6)]
+        ends = [(await one)[-1] for one in running]
+        assert sum(end.refusal is Refusal.TOO_MANY for end in ends) == 2
+        stops = [asyncio.ensure_future(site.stages(5, _STOP)) for _ in range(20)]
+        ends = [(await one)[-1] for one in stops]
+        assert all(end.stage is Stage.UNKNOWN for end in ends)
+        assert sum("newer stops" in end.reason for end in ends) == 12, "a stop is sent all the same, and takes the oldest one's place"
+        assert len([frame for frame in site.air.frames if frame.message.action.name == "STOP"]) >= 20
+
+    _run(tmp_path / "j", story=story)
+
+
+def test_a_stop_with_the_id_of_another_command_stops_all_the_same(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        assert _told(await site.stages(5, _START, command_id="one"))[-1] is Stage.BIOBOT_CONFIRMED
+        assert _told(await site.stages(5, _STOP, command_id="one"))[-1] is Stage.BIOBOT_CONFIRMED
+        assert (await site.stages(5, _LEFT, command_id="one"))[-1].refusal is Refusal.ID_REUSED
+        assert [message.action.name for message in site.air.sent_to(5)] == ["START", "STOP"]
+
+    _run(tmp_path / "j", story=story)
+
+
+def test_whether_a_biobot_obeys_is_seen_by_the_mode_that_it_reports(tmp_path: Path) -> None:
+    async def story() -> None:
+        now_ns = time.monotonic_ns()
+        ahead_ns = [0]
+        async with a_site(tmp_path / "j", 5, now_ns=lambda: now_ns + ahead_ns[0]) as site:
+            for after_s, mode, answerable, obeyed in ((1, Mode.S, 1, 1), (0.1, Mode.CRW, 1, 1), (1, Mode.CRW, 2, 1), (60, Mode.S, 2, 1)):
+                await site.stages(5, _STOP)
+                ahead_ns[0] += int(after_s * 1e9)
+                site.gate.on_mode(NodeId(5), mode)
+                account = site.gate.account_of(NodeId(5))
+                assert account is not None
+                assert (account.n_answerable, account.n_obeyed) == (answerable, obeyed)
+
+    asyncio.run(story())
+
+
+def test_accounts_are_the_same_after_a_restart(tmp_path: Path) -> None:
+    kept = []
+
+    async def live(site: Site) -> None:
+        site.air.answers = lambda node, _n: node == 5
+        await asyncio.gather(site.stages(5, _START), site.stages(6, _START), site.stages(7, _STOP), site.stages(7, _LEFT))
+        await site.stages(5, _START)
+        kept.extend(site.gate.accounts())
+
+    async def look(site: Site) -> None:
+        again = site.gate.accounts()
+        assert [account.node for account in again] == [account.node for account in kept] == [5, 6, 7]
+        for before, after in zip(kept, again, strict=True):
+            for name in ("n_trains", "on_ms", "n_commands", "n_confirmed", "n_unknown", "n_refused", "last_train_wall_ns"):
+                assert getattr(after, name) == getattr(before, name), name
+            assert abs(after.habituation - before.habituation) < 0.01
+
+    _run(tmp_path / "j", 5, 6, 7, story=live)
+    _run(tmp_path / "j", 5, 6, 7, story=look)
+
+
+def test_a_stop_on_a_full_disk_is_sent_at_once_and_on_record_when_there_is_room(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        connection = site.journal._file._connection
+        (n_pages,) = connection.execute("PRAGMA page_count").fetchone()
+        connection.execute(f"PRAGMA max_page_count = {n_pages}")
+        site.journal.append(JournalWrite(node=(NodeId(9), bytes(1 << 20))))
+        await until(lambda: site.journal.fault is not None, what="the disk is full")
+        assert _told(await site.stages(5, _STOP, command_id="stop"))[-1] is Stage.BIOBOT_CONFIRMED
+        assert _told(await site.stages(5, _STOP))[-1] is Stage.BIOBOT_CONFIRMED
+        assert [message.duration_ms for message in site.air.sent_to(5)] == [500, 0], "one train that is not on disk, no more"
+        assert (await site.stages(6, _START))[-1].refusal is Refusal.JOURNAL
+        connection.execute("PRAGMA max_page_count = 1000000")
+        await until(lambda: site.journal.fault is None, what="there is room")
+
+    _run(tmp_path / "j", 5, 6, story=story)
+    with sqlite3.connect(tmp_path / "j") as database:
+        stages = [stage for (stage,) in database.execute("SELECT stage FROM audit WHERE command_id = 'stop' ORDER BY id")]
+    database.close()
+    assert stages == ["accepted", "radio_confirmed", "biobot_confirmed"]

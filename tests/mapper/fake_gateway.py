@@ -9,8 +9,10 @@ from typing import Any, Self
 import zenoh
 import zenoh.ext
 
-from firmware_protocol.contract.commands import CommandStage, Stage, StimulationRequest
+from firmware_protocol.contract.commands import CommanderBeat, CommandStage, Refusal, Stage, StimulationAccount, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key
+from firmware_protocol.contract.mission_orders import MissionAnswer, MissionOrder
+from firmware_protocol.contract.presence import Kind, build_token_key
 from firmware_protocol.contract.records import (
     Cause,
     EncounterRecord,
@@ -35,6 +37,7 @@ BOOT = BootId(1_900_000_000)
 ANCHOR_NS = Nanoseconds(1_700_000_000_000_000_000)
 S = 1_000_000_000
 
+DEADLINE_NS = 2_000_000_000_000_000_000
 Answer = Callable[[StimulationRequest], Iterable[Stage]]
 
 
@@ -118,6 +121,26 @@ def mission(offset: int, *, phase: MissionPhase, t_ns: int, landmarks: tuple[int
     )
 
 
+def account(node: int, *, gateway: str = "gateway1", n_trains: int = 3, ready_in_ms: int = 0) -> StimulationAccount:
+    return StimulationAccount(
+        gateway=gateway,
+        node=NodeId(node),
+        wall_ns=ANCHOR_NS,
+        n_trains=n_trains,
+        on_ms=300 * n_trains,
+        n_trains_in_window=1,
+        on_ms_in_window=300,
+        window_s=60.0,
+        last_train_wall_ns=ANCHOR_NS,
+        ready_in_ms=ready_in_ms,
+        n_commands=4,
+        n_confirmed=3,
+        n_unknown=0,
+        n_refused=1,
+        habituation=0.25,
+    )
+
+
 def batch(
     records: Sequence[JournalRecord], *, gateway: str = "gateway1", journal: str = "journal1", head: int | None = None
 ) -> RecordBatch:
@@ -137,6 +160,11 @@ class FakeGateway:
         self.commands: list[StimulationRequest] = []
         self.history_requests: list[HistoryRequest] = []
         self.answer: Answer = lambda _request: (Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED)
+        self.orders: list[MissionOrder] = []
+        self.order_answer: Callable[[MissionOrder], tuple[bool, str]] = lambda _order: (True, "")
+        self.beats: list[CommanderBeat] = []
+        self.commanders: set[str] = set()
+        self.refusal = Refusal.GAP
         self._page = page
         self._lock = threading.Lock()
         config = zenoh.Config()
@@ -167,6 +195,14 @@ class FakeGateway:
             self._session.declare_subscriber(
                 build_key(site=SITE, stream=Stream.WATERMARK, gateway=name, mapper=ANY),
                 lambda sample: self.watermarks.append(decode_record(sample.payload.to_bytes(), Watermark)),
+            ),
+            self._session.declare_queryable(self._key(Stream.ORDERS), self._on_order),
+            self._session.declare_subscriber(
+                build_key(site=SITE, stream=Stream.BEAT, gateway=ANY),
+                lambda sample: self.beats.append(decode_record(sample.payload.to_bytes(), CommanderBeat)),
+            ),
+            self._session.liveliness().declare_subscriber(
+                build_token_key(site=SITE, kind=Kind.COMMANDER, name=ANY), self._on_commander, history=True
             ),
             self._session.liveliness().declare_token(self._key(Stream.ALIVE)),
         ]
@@ -206,7 +242,7 @@ class FakeGateway:
     @property
     def is_heard(self) -> bool:
         """Somebody listens to everything that is put plainly."""
-        return all(self.has_listener(stream) for stream in (Stream.ENCOUNTERS, Stream.STATUS, Stream.EVENTS))
+        return all(self.has_listener(stream) for stream in (Stream.ENCOUNTERS, Stream.STATUS, Stream.EVENTS, Stream.STAGES))
 
     def publish_bytes(self, stream: Stream, payload: bytes) -> None:
         self._session.put(self._key(stream), payload)
@@ -246,6 +282,13 @@ class FakeGateway:
         key = build_key(site=SITE, stream=Stream.STATUS, gateway=self.name, node=NodeId(node))
         self._session.put(key, encode_record(status))
 
+    def publish_stage(self, stage: CommandStage) -> None:
+        self._session.put(self._key(Stream.STAGES), encode_record(stage))
+
+    def publish_account(self, account: StimulationAccount) -> None:
+        key = build_key(site=SITE, stream=Stream.STIMULATION, gateway=self.name, node=account.node)
+        self._session.put(key, encode_record(account))
+
     def _key(self, stream: Stream) -> str:
         return build_key(site=SITE, stream=stream, gateway=self.name)
 
@@ -279,17 +322,42 @@ class FakeGateway:
         # Answers take their time: Zenoh's own thread must not wait for them.
         threading.Thread(target=self._reply, args=(query, request)).start()
 
+    def _on_order(self, query: zenoh.Query) -> None:
+        with query:
+            assert query.payload is not None
+            order = decode_record(query.payload.to_bytes(), MissionOrder)
+            self.orders.append(order)
+            is_taken, reason = self.order_answer(order)
+            answer = MissionAnswer(
+                order_id=order.order_id, gateway=self.name, is_taken=is_taken, phase=MissionPhase.DISPERSION, reason=reason
+            )
+            query.reply(self._key(Stream.ORDERS), encode_record(answer))
+
+    def _on_commander(self, sample: zenoh.Sample) -> None:
+        name = str(sample.key_expr).rpartition("/")[2]
+        (self.commanders.add if sample.kind == zenoh.SampleKind.PUT else self.commanders.discard)(name)
+
+    def stage_of(self, request: StimulationRequest, stage: Stage, *, part_of: str = "") -> CommandStage:
+        """Tell a stage as a gateway does."""
+        is_under_way = stage in {Stage.ACCEPTED, Stage.RADIO_CONFIRMED}
+        return CommandStage(
+            command_id=request.command_id,
+            gateway=self.name,
+            node=request.node,
+            action=request.action,
+            stage=stage,
+            wall_ns=Nanoseconds(0),
+            reason="too soon after the train before" if stage is Stage.REFUSED else "",
+            mode=Mode.S if stage is Stage.BIOBOT_CONFIRMED else None,
+            operator=request.operator,
+            refusal=self.refusal if stage is Stage.REFUSED else None,
+            deadline_wall_ns=Nanoseconds(DEADLINE_NS) if is_under_way else None,
+            part_of=part_of,
+        )
+
     def _reply(self, query: zenoh.Query, request: StimulationRequest) -> None:
         with query:
             for stage in self.answer(request):
-                reply: Struct = CommandStage(
-                    command_id=request.command_id,
-                    gateway=self.name,
-                    node=request.node,
-                    action=request.action,
-                    stage=stage,
-                    wall_ns=Nanoseconds(0),
-                    reason="too soon after the train before" if stage is Stage.REFUSED else "",
-                    mode=Mode.S if stage is Stage.BIOBOT_CONFIRMED else None,
-                )
-                query.reply(self._key(Stream.COMMAND), encode_record(reply))
+                told: Struct = self.stage_of(request, stage)
+                query.reply(self._key(Stream.COMMAND), encode_record(told))
+                self._session.put(self._key(Stream.STAGES), encode_record(told))

@@ -11,13 +11,18 @@ from firmware_protocol.contract.records import JournalRecord
 from mapper.api.services import Engines, Services
 from mapper.bus import Bus
 from mapper.changes import Changes, Topic
+from mapper.command_log import CommandLog
+from mapper.commander import Commander
 from mapper.commands import CommandDesk
 from mapper.config import RecipeConfig, make_recipe
 from mapper.current_map import CurrentMap
+from mapper.emergency_stop import EmergencyStop
 from mapper.fleet import Fleet
 from mapper.intake import Intake
 from mapper.kernels import choose_kernels
+from mapper.mission_orders import MissionDesk
 from mapper.rips_engines import name_engine
+from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store import Store
 from mapper.store_thread import StoreThread
 from tests.mapper.fake_gateway import SITE, batch
@@ -40,6 +45,8 @@ class Side:
     intake: Intake
     changes: Changes
     desk: CommandDesk
+    commander: Commander
+    accounts: StimulationAccounts
     current_map: CurrentMap
 
     @property
@@ -49,6 +56,9 @@ class Side:
             fleet=self.fleet,
             current_map=self.current_map,
             commands=self.desk,
+            emergency_stop=EmergencyStop(self.desk),
+            mission=MissionDesk(bus=self.bus),
+            accounts=self.accounts,
             changes=self.changes,
             is_connected=lambda: self.bus.is_connected,
             counters=lambda: self.intake.counters,
@@ -81,12 +91,15 @@ async def mapper_side(
     window_ns: int | None = None,
     min_interval_s: float = 0.1,
     clock: Callable[[], int] = time.time_ns,
+    more_ports: Sequence[int] = (),
 ) -> AsyncIterator[Side]:
     records = await StoreThread.open(store)
-    bus = await Bus.open(site=SITE, connect=(f"tcp/127.0.0.1:{port}",), listen=())
+    bus = await Bus.open(site=SITE, connect=tuple(f"tcp/127.0.0.1:{one}" for one in (port, *more_ports)), listen=())
     fleet, changes = Fleet(), Changes()
-    intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes)
-    desk = CommandDesk(bus=bus, fleet=fleet, changes=changes)
+    log, accounts = CommandLog(changes=changes), StimulationAccounts()
+    intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=log, accounts=accounts)
+    commander = Commander(bus=bus, name="mapper1")
+    desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
     current_map = CurrentMap(
         records=records,
         recipe=make_recipe(recipe or RecipeConfig()),
@@ -98,10 +111,21 @@ async def mapper_side(
     )
     if with_map:
         await current_map.restore()
-    runs = [intake.run(), desk.run(), *([current_map.run()] if with_map else [])]
+    runs = [intake.run(), desk.run(), commander.run(), *([current_map.run()] if with_map else [])]
     tasks = [asyncio.create_task(run) for run in runs]
+    await asyncio.sleep(0)
     try:
-        yield Side(bus=bus, records=records, fleet=fleet, intake=intake, changes=changes, desk=desk, current_map=current_map)
+        yield Side(
+            bus=bus,
+            records=records,
+            fleet=fleet,
+            intake=intake,
+            changes=changes,
+            desk=desk,
+            commander=commander,
+            accounts=accounts,
+            current_map=current_map,
+        )
         assert not any(task.done() for task in tasks)
     finally:
         for task in tasks:

@@ -4,55 +4,26 @@ import asyncio
 import json
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
 from http import HTTPStatus
-from typing import Any
 
 import httpx
-import jsonschema
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.routing import Route
 
 from firmware_protocol.contract.commands import Stage
 from firmware_protocol.contract.records import MissionPhase
-from firmware_protocol.units import NodeId
 from mapper import errors
-from mapper.api.app import create_app, create_unguarded_app
+from mapper.api.app import create_unguarded_app
 from mapper.api.errors import STATUS_OF
 from mapper.api.event_stream import EventStream
 from mapper.api.guards import MAX_BODY_BYTES
-from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, encounter, free_port, mission
+from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, account, encounter, free_port, mission
 from tests.mapper.mapper_side import Side, mapper_side, until
 from tests.mapper.ring import ring_records
+from tests.mapper.web_side import BASE, check_against, client_of, meet, openapi_of
 
-BASE = "http://127.0.0.1"
 HUGE = 2**64 - 1
-
-
-@asynccontextmanager
-async def client_of(side: Side) -> AsyncIterator[httpx.AsyncClient]:
-    app = create_app(side.services, stream=EventStream(side.changes), allowed_hosts={"127.0.0.1", "localhost"})
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app, raise_app_exceptions=False), base_url=BASE) as client:
-        yield client
-
-
-def openapi_of(side: Side) -> dict[str, Any]:
-    return create_unguarded_app(side.services, stream=EventStream(side.changes)).openapi()
-
-
-def check_against(document: dict[str, Any], path: str, answer: httpx.Response, *, method: str = "get") -> None:
-    """The status is a documented one, and the body is as described."""
-    described = document["paths"][path][method]["responses"][str(answer.status_code)]
-    content = described.get("content", {})
-    media_type = answer.headers.get("content-type", "").split(";")[0]
-    if answer.status_code == HTTPStatus.NOT_MODIFIED:
-        assert answer.content == b""
-        return
-    assert media_type in content
-    if "json" in media_type:
-        schema = {**content[media_type]["schema"], "components": document["components"]}
-        jsonschema.Draft202012Validator(schema).validate(answer.json())
 
 
 def run(story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]], *, with_map: bool = False) -> None:
@@ -66,12 +37,6 @@ def run(story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]]
     asyncio.run(whole())
 
 
-async def meet(side: Side, gateway: FakeGateway, node: int) -> None:
-    gateway.publish_status()
-    gateway.publish_node(node)
-    await until(lambda: side.fleet.gateway_of(NodeId(node)) is not None)
-
-
 def test_every_answer_is_as_the_openapi_document_says() -> None:
     async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
         document = openapi_of(side)
@@ -79,18 +44,22 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         gets = [path for path, methods in document["paths"].items() if "get" in methods and path != "/api/v1/events"]
         await until(lambda: side.current_map.waiting_for.minimum > 0)
         for path in gets:
-            check_against(document, path, await client.get(path.replace("{command_id}", "unknown")))
+            check_against(document, path, await client.get(path.replace("{command_id}", "unknown").replace("{biobot}", "77")))
         records = ring_records()
         last = records[-1].offset
         phase = mission(last + 1, phase=MissionPhase.EXPLORATION, t_ns=0, landmarks=(7, HUGE))
         gateway.journal_records([*records, phase, encounter(last + 2, nodes=(1, HUGE), is_void=True)])
         await meet(side, gateway, HUGE)
-        await until(lambda: side.current_map.latest is not None)
+        gateway.publish_account(account(HUGE))
+        await until(lambda: side.current_map.latest is not None and bool(side.accounts.all()))
         done = await client.post("/api/v1/commands", json={"biobot": str(HUGE), "action": "stop", "operator": "anna", "id": "one"})
         assert done.status_code == HTTPStatus.OK
         check_against(document, "/api/v1/commands", done, method="post")
+        check_against(document, "/api/v1/stop", await client.post("/api/v1/stop"), method="post")
+        ordered = await client.post("/api/v1/mission/orders", json={"action": "start", "operator": "anna"})
+        check_against(document, "/api/v1/mission/orders", ordered, method="post")
         for path in gets:
-            answer = await client.get(path.replace("{command_id}", "one"))
+            answer = await client.get(path.replace("{command_id}", "one").replace("{biobot}", str(HUGE)))
             assert answer.status_code == HTTPStatus.OK, path
             check_against(document, path, answer)
         phases = (await client.get("/api/v1/mission")).json()
@@ -162,7 +131,7 @@ def test_encounters_come_in_pages() -> None:
 def test_a_command_answers_with_its_stages_and_its_refusals_with_their_reason() -> None:
     async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
         stop = {"biobot": 5, "action": "stop", "operator": "anna"}
-        unknown = await client.post("/api/v1/commands", json=stop)
+        unknown = await client.post("/api/v1/commands", json={**stop, "action": "start"})
         assert unknown.status_code == HTTPStatus.NOT_FOUND
         assert "biobot 5" in unknown.json()["detail"]
         await meet(side, gateway, 5)
@@ -178,7 +147,7 @@ def test_a_command_answers_with_its_stages_and_its_refusals_with_their_reason() 
         gateway.answer = lambda _request: (Stage.REFUSED,)
         refused = await client.post("/api/v1/commands", json=stop)
         assert refused.status_code == HTTPStatus.CONFLICT
-        assert refused.json()["reason"] == "too soon after the train before"
+        assert (refused.json()["reason"], refused.json()["refusal"]) == ("too soon after the train before", "gap")
         gateway.answer = lambda _request: (Stage.ACCEPTED, Stage.FAILED)
         failed = await client.post("/api/v1/commands", json=stop)
         assert (failed.status_code, failed.json()["outcome"]) == (HTTPStatus.OK, "failed")
@@ -218,6 +187,12 @@ BAD_BODIES: list[tuple[str, bytes]] = [
     ("text for a number", b'{"biobot": 5, "action": "stop", "operator": "a", "ttl_ms": "100"}'),
     ("no time", b'{"biobot": 5, "action": "stop", "operator": "a", "ttl_ms": 0}'),
     ("too long", b'{"biobot": 5, "action": "stop", "operator": "a", "ttl_ms": 60001}'),
+    ("nobody to start", b'{"action": "start", "operator": "a"}'),
+    ("one of all", b'{"biobot": 5, "action": "stop_all", "operator": "a"}'),
+    ("strange pulse", b'{"biobot": 5, "action": "start", "operator": "a", "pulse": {"volts": 9}}'),
+    ("no frequency", b'{"biobot": 5, "action": "start", "operator": "a", "pulse": {"frequency_hz": 0}}'),
+    ("other waveform", b'{"biobot": 5, "action": "start", "operator": "a", "pulse": {"waveform": "saw"}}'),
+    ("endless wait", b'{"biobot": 5, "action": "stop", "operator": "a", "wait_s": 61}'),
     ("id with a slash", b'{"biobot": 5, "action": "stop", "operator": "a", "id": "../x"}'),
     ("id with a line break", b'{"biobot": 5, "action": "stop", "operator": "a", "id": "x\\n"}'),
 ]

@@ -15,14 +15,16 @@ from firmware_protocol.contract.commands import Stage, StimulationAction
 from firmware_protocol.contract.keys import Stream
 from firmware_protocol.contract.records import JournalRecord, Mode, encode_record
 from firmware_protocol.units import NodeId
-from mapper.bus import Bus, _decode
+from mapper.arrivals import decode_arrival
+from mapper.bus import Bus
 from mapper.changes import Topic
-from mapper.commands import Command, Outcome
+from mapper.command_log import Command, Outcome, has_ended
+from mapper.commands import Wish
 from mapper.errors import BiobotNotFoundError, BusError, CommandNotFoundError, CommandRefusedError
 from mapper.store import Store
 from mapper.watermarks import Watermarks
 from tests.mapper.fake_gateway import SITE, FakeGateway, batch, encounter, free_port, mode
-from tests.mapper.mapper_side import Side, mapper_side, until
+from tests.mapper.mapper_side import DEADLINE_S, Side, mapper_side, until
 
 
 def level(head: int, *, journal: str = "journal1") -> Callable[[Store], bool]:
@@ -35,7 +37,7 @@ def test_no_key_and_no_bytes_raise_past_the_decoder(key: str, payload: bytes | b
     deep = b"\x81\xa1x" + b"\x91" * 5000
     for text in (key, f"{prefix}{key}", f"{prefix}status/gw/{'9' * 5000}", f"{prefix}encounters/gw", f"{prefix}status/gw/7"):
         for body in (payload, deep):
-            assert not isinstance(_decode(text, body), BaseException)
+            assert not isinstance(decode_arrival(text, body), BaseException)
 
 
 def test_every_published_record_is_stored_once_though_most_were_never_received() -> None:
@@ -177,9 +179,13 @@ def test_states_reach_the_fleet_and_the_newest_wins() -> None:
 
 
 async def stop(side: Side, node: int = 5, *, ttl_ms: int = 5000, command_id: str | None = None) -> Command:
-    return await side.desk.submit(
-        node=NodeId(node), action=StimulationAction.STOP, operator="anna", ttl_ms=ttl_ms, hold_ms=0, command_id=command_id
-    )
+    return await give(side, Wish(node=NodeId(node), action=StimulationAction.STOP, operator="anna", ttl_ms=ttl_ms, command_id=command_id))
+
+
+async def give(side: Side, wish: Wish) -> Command:
+    command = await side.desk.submit(wish)
+    await side.desk.log.wait(lambda: has_ended(command), timeout_s=DEADLINE_S)
+    return command
 
 
 def test_a_command_is_followed_through_its_stages_to_its_outcome() -> None:
@@ -188,7 +194,7 @@ def test_a_command_is_followed_through_its_stages_to_its_outcome() -> None:
         with FakeGateway(port=port) as gateway:
             async with mapper_side(port) as side:
                 with pytest.raises(BiobotNotFoundError):
-                    await stop(side)
+                    await give(side, Wish(node=NodeId(5), action=StimulationAction.START, operator="anna"))
                 await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.publish_node(5)
                 await until(lambda: side.fleet.gateway_of(NodeId(5)) is not None)
@@ -198,18 +204,16 @@ def test_a_command_is_followed_through_its_stages_to_its_outcome() -> None:
                 assert await stop(side, command_id="once") is command
                 assert len(gateway.commands) == 1
                 with pytest.raises(CommandRefusedError, match="another command"):
-                    await side.desk.submit(
-                        node=NodeId(5), action=StimulationAction.START, operator="anna", ttl_ms=1, hold_ms=0, command_id="once"
-                    )
+                    await give(side, Wish(node=NodeId(5), action=StimulationAction.START, operator="anna", ttl_ms=1, command_id="once"))
                 gateway.answer = lambda _request: (Stage.REFUSED,)
                 refused = await stop(side)
                 assert (refused.outcome, refused.reason) == (Outcome.REFUSED, "too soon after the train before")
                 gateway.answer = lambda _request: (Stage.ACCEPTED,)
                 assert (await stop(side)).outcome is Outcome.UNKNOWN
-                assert [command.outcome for command in side.desk.recent(limit=2)] == [Outcome.UNKNOWN, Outcome.REFUSED]
-                assert side.desk.get("once") is command
+                assert [command.outcome for command in side.desk.log.recent(limit=2)] == [Outcome.UNKNOWN, Outcome.REFUSED]
+                assert side.desk.log.get("once") is command
                 with pytest.raises(CommandNotFoundError):
-                    side.desk.get("never sent")
+                    side.desk.log.get("never sent")
 
     asyncio.run(story())
 

@@ -23,7 +23,7 @@ from mapper.store import Store
 from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, S, batch, encounter, free_port, mission
 from tests.mapper.mapper_side import Side, mapper_side, until
 from tests.mapper.ring import ring_records
-from tests.mapper.test_api import client_of
+from tests.mapper.web_side import client_of
 
 RECORDS = ring_records()
 N_ENCOUNTERS = sum(isinstance(record, EncounterRecord) for record in RECORDS)

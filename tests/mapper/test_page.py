@@ -1,6 +1,7 @@
 """The operator's page in a real browser: it works empty and full, on a desk and on a phone, and asks nobody but its own service."""
 
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.records import Cause, EncounterRecord, Mode
+from firmware_protocol.units import EVERYBODY, Nanoseconds, NodeId
 from tests.mapper.fake_gateway import FakeGateway, free_port
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving
@@ -239,3 +241,63 @@ def test_a_page_says_that_its_map_is_of_a_window_and_by_another_method(browser: 
         until(has_map)
         with opened(browser, url) as watched:
             expect(watched.page.locator("#notices")).to_contain_text('a map of the last 40 s · by the method "paper"')
+
+
+def test_one_press_stops_all_and_says_who_confirmed(browser: Browser, tmp_path: Path) -> None:
+    port = free_port()
+    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, _process), opened(browser, url) as watched:
+        page = watched.page
+        is_free = threading.Event()
+
+        def stop_all(request: StimulationRequest) -> Iterator[Stage]:
+            yield Stage.ACCEPTED
+            for node, end in ((3, Stage.BIOBOT_CONFIRMED), (4, Stage.BIOBOT_CONFIRMED), (5, Stage.UNKNOWN)):
+                part = StimulationRequest(
+                    command_id=f"part-{node}",
+                    node=NodeId(node),
+                    action=StimulationAction.STOP,
+                    operator=request.operator,
+                    issued_wall_ns=Nanoseconds(0),
+                )
+                gateway.publish_stage(gateway.stage_of(part, Stage.ACCEPTED, part_of=request.command_id))
+                gateway.publish_stage(gateway.stage_of(part, end, part_of=request.command_id))
+            yield Stage.RADIO_CONFIRMED
+            is_free.wait(WAIT_MS / 1000)
+            yield Stage.UNKNOWN
+
+        gateway.answer = stop_all
+
+        def is_live() -> bool:
+            gateway.publish_status()
+            return "live" in (page.locator("#link").text_content() or "")
+
+        until(is_live)
+        page.get_by_label("You").fill("anna")
+        page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+        button = page.get_by_role("button", name="Stop all")
+        expect(button).to_be_in_viewport()
+        for _ in range(40):
+            page.keyboard.press("Shift+Tab")
+            if page.evaluate("document.activeElement.id") == "emergency":
+                break
+        page.keyboard.press("Enter")
+        panel = page.get_by_role("alert")
+        expect(panel).to_contain_text("gateway1: sent by the radio")
+        expect(panel).to_contain_text("confirmed by 2 biobots: 3, 4")
+        expect(panel).to_contain_text("not by biobot 5")
+        is_free.set()
+        expect(panel).to_contain_text("not confirmed by all")
+        (command,) = gateway.commands
+        assert (command.node, command.action, command.operator) == (EVERYBODY, StimulationAction.STOP_ALL, "anna")
+        picture(page, "page-stop")
+        gateway.answer = lambda _request: (Stage.ACCEPTED, Stage.BIOBOT_CONFIRMED)
+        with opened(browser, url, width=390, height=844) as phone:
+            phone.page.mouse.wheel(0, 2000)
+            phone.page.get_by_role("button", name="Stop all").click()
+            expect(phone.page.get_by_role("alert")).to_contain_text("confirmed by all that can be reached")
+            assert fits_its_width(phone.page)
+            picture(phone.page, "page-stop-phone")
+        assert len(gateway.commands) == 2
+        page.get_by_role("button", name="Close").click()
+        expect(panel).to_be_hidden()
+        expect(button).to_be_focused()

@@ -50,10 +50,10 @@ from tests.simulator.base_station import Ledger, a_command
 NODE, BOOT = NodeId(7), BootId(3)
 
 
-def a_backpack(*, now_ms: int = 0, neighbours: int = 0, **changes: int) -> Backpack:
+def a_backpack(*, node: int = NODE, now_ms: int = 0, neighbours: int = 0, **changes: int) -> Backpack:
     around = [Neighbour(node=NodeId(100 + one), rssi_dbm=RssiDbm(-50)) for one in range(neighbours)]
     config = BackpackConfig(**changes)  # type: ignore[arg-type]  # every field given here is an int
-    return Backpack(node=NODE, boot=BOOT, eui64=0x10007, seed=1, config=config, now_ms=now_ms, sense_neighbours=lambda: around)
+    return Backpack(node=NodeId(node), boot=BOOT, eui64=0x10007, seed=1, config=config, now_ms=now_ms, sense_neighbours=lambda: around)
 
 
 def said(effects: Iterable[Effect]) -> list[Uplink]:
@@ -500,16 +500,81 @@ def test_a_turn_is_done_once_its_train_is_delivered_and_leaves_the_mode_to_the_i
     assert (backpack.mode, backpack.cause) == (WireMode.CRW, WireCause.COMMAND)
 
 
-def test_a_turn_does_not_end_the_hold_of_a_stop_and_the_end_of_a_starts_hold_wakes_nobody() -> None:
+def test_a_turn_does_not_end_the_hold_of_a_stop() -> None:
     backpack = a_backpack()
     hear(backpack, a_command(1, Action.STOP, hold_ms=5_000), now_ms=0)
     hear(backpack, a_command(2, Action.TURN_LEFT, hold_ms=1_000), now_ms=1_000)
     assert [one.mode for one in actuations(backpack.poll(now_ms=4_999))] == []
     assert [one.mode for one in actuations(backpack.poll(now_ms=5_000))] == [WireMode.CRW]
-    hear(backpack, a_command(3, Action.START, hold_ms=1_000), now_ms=6_000)
-    backpack.change_mode(WireMode.S, WireCause.NATURAL, at_ms=6_500)
-    assert [one.mode for one in actuations(backpack.poll(now_ms=7_000))] == [None]
-    assert (backpack.mode, backpack.cause) == (WireMode.S, WireCause.NATURAL)
+
+
+@given(action=st.sampled_from([Action.START, Action.TURN_LEFT, Action.TURN_RIGHT]), hold_ms=st.integers(1, 100_000), stands=st.booleans())
+def test_the_end_of_the_hold_of_a_start_or_turn_stops_the_insect_without_a_train(action: Action, hold_ms: int, stands: bool) -> None:
+    """Who controlled the motion has gone: it must not go on (WIRE_FORMAT.md section 6.8). It stands until it is started."""
+    backpack = a_backpack(spread_ms=10**9)
+    backpack.quieten()
+    hear(backpack, a_command(1, action, hold_ms=hold_ms), now_ms=100)
+    if stands:
+        backpack.change_mode(WireMode.S, WireCause.NATURAL, at_ms=100)
+    assert actuations(backpack.poll(now_ms=100 + hold_ms - 1)) == []
+    due_ms = backpack.next_due_ms()
+    assert due_ms is not None
+    assert due_ms <= 100 + hold_ms
+    assert actuations(backpack.poll(now_ms=100 + hold_ms)) == [Actuation(mode=WireMode.S, cause=WireCause.COMMAND, command=None)]
+    assert (backpack.mode, backpack.cause) == (WireMode.S, WireCause.COMMAND)
+    (turn,) = actuations(hear(backpack, a_command(2, Action.TURN_LEFT, hold_ms=5), now_ms=100 + hold_ms))
+    assert turn.mode is None, "the train that ran was cut off; and one that stands is not let go by a turn"
+    assert actuations(backpack.poll(now_ms=10**6)) == []
+    assert backpack.mode is WireMode.S
+
+
+@given(action=st.sampled_from([Action.START, Action.TURN_LEFT]))
+def test_a_start_or_turn_without_a_hold_goes_on(action: Action) -> None:
+    backpack = a_backpack()
+    hear(backpack, a_command(1, Action.START, hold_ms=1_000), now_ms=0)
+    hear(backpack, a_command(2, action), now_ms=900)
+    assert [one.mode for one in actuations(backpack.poll(now_ms=10**6))] == []
+
+
+def test_a_stop_by_broadcast_is_obeyed_at_once_and_answered_after_a_random_wait_of_up_to_a_second() -> None:
+    stop, answered_ms = a_command(9, Action.STOP), list[int]()
+    for node in range(1, 31):
+        backpack = a_backpack(node=node)
+        backpack.quieten()
+        backpack.poll(now_ms=2_000)
+        (actuation,) = actuations(backpack.receive(encode_downlink(1, stop), now_ms=3_000, is_broadcast=True))
+        assert (actuation.mode, actuation.train) == (WireMode.S, stop)
+        assert actuations(backpack.receive(encode_downlink(2, stop), now_ms=3_000, is_broadcast=True)) == []
+        now_ms, replies = 3_000, list[Uplink]()
+        while not replies:
+            now_ms = max(now_ms, backpack.next_due_ms() or 0)
+            replies = [one for one in said(backpack.poll(now_ms=now_ms)) if isinstance(one, StimulateReply)]
+        assert [(one.result, one.executed_ms) for one in replies if isinstance(one, StimulateReply)] == [(StimulationResult.DONE, 3_000)]
+        answered_ms.append(now_ms - 3_000)
+    assert all(0 <= wait_ms <= 1_000 for wait_ms in answered_ms)
+    assert len(set(answered_ms)) > 20, "they do not all speak at once"
+
+
+@given(again_ms=st.integers(0, 3_000))
+def test_a_stop_that_came_by_broadcast_is_answered_at_once_when_asked_alone_and_gives_no_second_train(again_ms: int) -> None:
+    backpack, stop = a_backpack(), a_command(9, Action.STOP)
+    backpack.poll(now_ms=2_000)
+    assert len(actuations(backpack.receive(encode_downlink(1, stop), now_ms=3_000, is_broadcast=True))) == 1
+    backpack.poll(now_ms=3_000 + again_ms)
+    assert actuations(hear(backpack, stop, now_ms=3_000 + again_ms)) == []
+    replies = [one for one in said(backpack.poll(now_ms=3_000 + again_ms)) if isinstance(one, StimulateReply)]
+    assert [(one.command, one.result, one.executed_ms) for one in replies] == [(9, StimulationResult.DONE, 3_000)]
+
+
+@given(action=st.sampled_from([Action.START, Action.TURN_LEFT, Action.TURN_RIGHT]))
+def test_any_other_action_that_comes_by_broadcast_is_neither_obeyed_nor_answered(action: Action) -> None:
+    backpack = a_backpack()
+    backpack.poll(now_ms=2_000)
+    command = a_command(9, action)
+    assert backpack.receive(encode_downlink(1, command), now_ms=3_000, is_broadcast=True) == []
+    assert backpack.n_ignored == 1
+    assert not [one for one in said(backpack.poll(now_ms=10_000)) if isinstance(one, StimulateReply)]
+    assert len(actuations(hear(backpack, command, now_ms=10_000))) == 1, "its number was not used up"
 
 
 def test_where_the_insect_does_not_obey_commands_are_answered_and_the_mode_stays() -> None:

@@ -63,6 +63,13 @@ class Line:
                 self.dongle.confirm(request.handle, self._answers, now_ns=self.now_ns)
             self.take(self.host.feed(self._carry(self.dongle.take_bytes()), now_ns=self.now_ns))
 
+    def write_one(self) -> bool:
+        """Carry the host's next frame to the dongle, which says nothing yet; return whether there was one."""
+        frames = self.host.take_frames(at_most=1)
+        for frame in frames:
+            self.dongle.feed(self._carry(frame), now_ns=self.now_ns)
+        return bool(frames)
+
     def run_until_open(self, *, within_ms: int = 120_000) -> None:
         for _ in range(within_ms // 100):
             if self.host.is_open:
@@ -167,6 +174,55 @@ def test_a_payload_that_is_forgotten_before_it_was_written_is_not_sent(dialect: 
     line.run(3000)
     assert [payload for _, payload in line.sent] == [b"%d" % number for number in range(30) if number not in range(20, 25)]
     assert not set(tickets[20:25]) & line.settled.keys()
+
+
+@every_dialect
+def test_an_urgent_payload_is_the_next_one_whatever_the_host_holds_ready(dialect: str) -> None:
+    line = Line(dialect)
+    line.run_until_open()
+    line.run(1_000)
+    for i in range(40):
+        line.host.send(destination=NODE, payload=b"%d" % i, now_ns=line.now_ns)
+    n_written = 0
+    for _ in range(3):
+        n_written += line.write_one()
+    line.host.send(destination=NODE, payload=b"STOP", now_ns=line.now_ns, is_urgent=True)
+    line.host.send(destination=NODE, payload=b"STOP too", now_ns=line.now_ns, is_urgent=True)
+    line.run(2_000)
+    said = [payload for _, payload in line.sent]
+    assert said.index(b"STOP") == n_written, "it waits for what was on the line, for nothing else"
+    assert said.index(b"STOP too") == n_written + 1
+    assert len(said) == 42
+
+
+@every_dialect
+@settings(max_examples=8)
+@given(data=st.data())
+def test_what_is_withdrawn_never_goes_out_and_all_else_does_once(dialect: str, data: st.DataObject) -> None:
+    """Whatever is sent, urgent or not, written one by one, and withdrawn, at any moment."""
+    line = Line(dialect)
+    line.run_until_open()
+    line.run(1_000)
+    sent: dict[int, bytes] = {}
+    withdrawn: set[int] = set()
+    for i in range(data.draw(st.integers(1, 30))):
+        match data.draw(st.sampled_from(("send", "urgent", "withdraw", "write", "run"))):
+            case "withdraw" if sent:
+                ticket = data.draw(st.sampled_from(sorted(sent)))
+                if line.host.withdraw(ticket):
+                    assert ticket not in withdrawn
+                    withdrawn.add(ticket)
+            case "write":
+                line.write_one()
+            case "run":
+                line.run(20)
+            case kind:
+                payload = b"%d" % i
+                sent[line.host.send(destination=NODE, payload=payload, now_ns=line.now_ns, is_urgent=kind == "urgent")] = payload
+    line.run(3_000)
+    assert not line.lost
+    assert sorted(payload for _, payload in line.sent) == sorted(payload for ticket, payload in sent.items() if ticket not in withdrawn)
+    assert set(line.settled) == set(sent) - withdrawn
 
 
 @every_dialect

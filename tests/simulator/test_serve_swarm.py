@@ -144,6 +144,32 @@ def test_a_hold_that_ends_lets_the_insect_walk_again_by_itself() -> None:
     assert site.world.position(5) != site.world.position(5, at_s=changes[0].t_s)
 
 
+def test_the_end_of_a_starts_hold_stops_the_insect_where_the_gateway_is_gone() -> None:
+    site = Site()
+    site.run_until(3.0)
+    site.base.send(site.base.address[5], a_command(1, Action.START, hold_ms=1_000), now_ns=site.now_ns)
+    site.run_until(3.5)
+    assert [one.mode for one in site.events if isinstance(one, ModeChanged) and one.id == 5][-1:] in ([], ["CRW"])
+    site.run_until(7.0)
+    (change,) = [one for one in site.events if isinstance(one, ModeChanged) and one.mode == "S" and one.cause == "command"]
+    assert change.id == 5
+    assert site.world.position(5) == site.world.position(5, at_s=change.t_s)
+
+
+def test_a_stop_by_broadcast_stops_every_insect_and_each_says_so_in_its_own_time() -> None:
+    site = Site()
+    site.run_until(3.0)
+    site.base.send(0xFFFF, a_command(900, Action.TURN_LEFT), now_ns=site.now_ns)
+    site.run_until(4.0)
+    assert not site.swarm.executed, "a turn of everybody is nobody's wish"
+    site.base.send(0xFFFF, a_command(901, Action.STOP), now_ns=site.now_ns)
+    site.run_until(4.2)
+    assert {(one.id, one.command, one.mode) for one in site.swarm.executed} == {(node, 901, "S") for node in range(1, 13)}
+    site.run_until(6.0)
+    replies = [(node, one.command, one.result) for node, one in site.base.of_type(StimulateReply) if isinstance(one, StimulateReply)]
+    assert sorted(set(replies)) == [(node, 901, StimulationResult.DONE) for node in range(1, 13)]
+
+
 def test_an_unknown_address_is_confirmed_as_unknown_and_a_broadcast_reaches_all() -> None:
     site = Site()
     site.run_until(3.0)

@@ -95,6 +95,20 @@ def test_an_insect_that_is_held_still_does_not_turn_until_it_is_let_go() -> None
     assert [one.action for one in story.steering.executed] == ["stop", "turn_left", None, "turn_left"]
 
 
+def test_the_end_of_a_starts_hold_makes_the_insect_stand_and_cancels_what_it_had_not_yet_done() -> None:
+    story = Story()
+    story.actuate(an_actuation(Action.START), at_s=0.0)
+    story.actuate(Actuation(mode=WireMode.S, cause=WireCause.COMMAND, command=None), at_s=0.01)
+    assert story.steering.next_due_ns() is None
+    story.actuate(an_actuation(Action.TURN_LEFT, command=2), at_s=3.0)
+    assert [verb for _, verb, _, _ in story.world.done] == ["CRW", "S"]
+    assert [(one.command, one.mode, one.cause, one.responded) for one in story.steering.executed] == [
+        (1, "CRW", "command", False),
+        (None, "S", "command", None),
+        (2, "S", "command", False),
+    ]
+
+
 def test_an_insect_that_does_not_respond_is_left_alone() -> None:
     story = Story(response=ResponseConfig(probability=0.0, probability_habituated=0.0))
     story.actuate(an_actuation(Action.TURN_LEFT), at_s=0.0)

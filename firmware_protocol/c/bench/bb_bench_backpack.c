@@ -188,8 +188,15 @@ static void end_hold(struct bb_bench_backpack *backpack, uint32_t now_ms)
 {
     if (backpack->is_holding && is_due(backpack->hold_until_ms, now_ms)) {
         backpack->is_holding = false;
-        backpack->is_held_still = false;
-        change_mode(backpack, CRW, NATURAL, now_ms);
+        if (backpack->is_held_still) {
+            change_mode(backpack, CRW, NATURAL, now_ms);
+        } else { /* whoever controlled the motion has gone */
+            change_mode(backpack, S, COMMAND, now_ms);
+            if (!is_due(backpack->train_until_ms, now_ms)) {
+                backpack->train_until_ms = now_ms;
+            }
+        }
+        backpack->is_held_still = !backpack->is_held_still;
     }
 }
 

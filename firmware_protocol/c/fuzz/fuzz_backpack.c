@@ -95,6 +95,7 @@ static void hear(uint8_t *octets, uint8_t length)
     LAW(message.header.type == BB_TYPE_STIMULATE || message.header.type == BB_TYPE_CONFIGURE
         || message.header.type == BB_TYPE_CONFIGURATION_REQUEST);
     if (message.header.type != BB_TYPE_STIMULATE) return;
+    LAW(!is_broadcast || message.body.stimulate.action == 2); /* of all, only a stop is asked by broadcast */
     for (uint16_t i = 0; i < BB_BACKPACK_COMMANDS && i < n_obeyed; i++) LAW(obeyed[i] != message.body.stimulate.command);
     obeyed[n_obeyed++ % BB_BACKPACK_COMMANDS] = message.body.stimulate.command;
 }

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -379,6 +379,31 @@ def test_a_broadcast_is_answered_after_a_random_wait_of_up_to_a_second_and_a_uni
         air.run(1_100, step_ms=1)
         waits = {at_ms - asked_ms for sequence, at_ms in air.copies if sequence in (2, 3)}
         assert waits == {1_000 * chance >> 16 if is_broadcast else 0}
+
+
+@settings(max_examples=20)
+@given(chance=st.integers(0, 0xFFFF), again_ms=st.integers(0, 900))
+def test_a_stop_by_broadcast_is_the_owners_once_and_answered_after_a_random_wait(wire: Wire, chance: int, again_ms: int) -> None:
+    """Asked again by itself alone, it is answered at once; any other action that came by broadcast is nobody's."""
+    stop = replace(command(1), action=Action.STOP)
+    for is_asked_again in (False, True):
+        air = Air(wire)
+        air.run(2)
+        assert not air.tell(command(2), is_broadcast=True)
+        asked_ms = air.now_ms
+        assert air.tell(stop, is_broadcast=True, chance=chance)
+        air.answer(1, StimulationResult.DONE)
+        if is_asked_again:
+            air.run(again_ms + 1, step_ms=1)
+            again_at_ms = air.now_ms
+            assert not air.tell(stop)
+            air.run(1, step_ms=1)
+        air.run(1_100, step_ms=1)
+        (first_ms, *_) = [at_ms for sequence, at_ms in air.copies if sequence == 1]
+        wait_ms = 1_000 * chance >> 16
+        assert first_ms - asked_ms == (min(wait_ms, again_at_ms - asked_ms) if is_asked_again else wait_ms)
+        assert air.answers()[0] == (1, StimulationResult.DONE)
+        assert {number for number, _ in air.answers()} == {1}
 
 
 @given(chance=st.integers(0, 0xFFFF))

@@ -157,7 +157,10 @@ def test_modes_and_causes_are_told_and_a_turn_leaves_one_that_stands_as_it_is(be
     assert states(pack.command(2, Action.TURN_LEFT, hold_ms=300)) == []
     assert states(pack.listen(pack.now_ms + 1_000)) == []
     assert states(pack.command(3, Action.START, hold_ms=2_000)) == [(WireMode.CRW, WireCause.COMMAND)]
-    assert states(pack.listen(pack.now_ms + 3_000)) == [(WireMode.CRW, WireCause.NATURAL)]
+    assert states(pack.listen(pack.now_ms + 3_000)) == [(WireMode.S, WireCause.COMMAND)], "whoever controlled it has gone"
+    assert states(pack.command(4, Action.START, duration_ms=0)) == [(WireMode.CRW, WireCause.COMMAND)]
+    assert states(pack.command(5, Action.STOP, duration_ms=0, hold_ms=500)) == [(WireMode.S, WireCause.COMMAND)]
+    assert states(pack.listen(pack.now_ms + 1_000)) == [(WireMode.CRW, WireCause.NATURAL)]
 
 
 def test_a_pack_that_senses_continuously_has_its_report_period_to_set_and_nothing_else(bench: ctypes.CDLL) -> None:
@@ -173,6 +176,17 @@ def test_a_pack_that_senses_continuously_has_its_report_period_to_set_and_nothin
     assert {(one.beacon_period_ms, one.rssi_enter_dbm, one.rssi_exit_dbm, one.gap_tolerance_ms) for one in reports} == {
         (0, RssiDbm(-128), RssiDbm(-128), 0)
     }
+
+
+def test_a_stop_by_broadcast_is_obeyed_and_answered_within_a_second_and_nothing_else_is(bench: ctypes.CDLL) -> None:
+    pack = Pack(bench)
+    pack.listen()
+    pack.hear(replace(TRAIN, command=1, action=Action.START), is_broadcast=True)
+    assert pack.listen(pack.now_ms + 2_000) == []
+    pack.hear(replace(TRAIN, command=2, action=Action.STOP), is_broadcast=True)
+    said = pack.listen()
+    assert (states(said), results(said)) == ([(WireMode.S, WireCause.COMMAND)], {})
+    assert results(pack.listen(pack.now_ms + 1_000)) == {2: StimulationResult.DONE}
 
 
 def test_a_hello_request_is_answered_with_hello_and_limits_by_all_that_hear_it_within_a_second(bench: ctypes.CDLL) -> None:

@@ -1,0 +1,186 @@
+"""What moves a biobot during ``biobot-gateway steer``: keys of a terminal or a script in, commands and beats out, a picture of it all."""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import sys
+import termios
+import threading
+import time
+import tty
+import uuid
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Final
+
+import msgspec
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from firmware_protocol.contract.commands import CommandStage, StimulationAccount, StimulationAction, StimulationRequest
+from firmware_protocol.units import Nanoseconds, NodeId
+from gateway.bus_commander import CommanderSession
+from gateway.commands.outcome import complain
+from gateway.steering import KEYS, Steering, Step, parse_keys
+
+_TICK_S: Final = 0.05
+_STOP_S: Final = 8.0
+"""The end of a command is waited for so long; the gateway repeats a stop several times meanwhile."""
+
+_TTL_MS: Final = 2000
+_HELP: Final = "arrows or w a d: start, left, right   down, s or space: stop   q: stop and leave"
+
+
+class Helm:
+    """Sends commands, beats, and keeps what is heard. ``interrupted`` is set by a signal, and ends keys and scripts."""
+
+    def __init__(
+        self, session: CommanderSession, *, node: NodeId, operator: str, hold_s: float, is_shown: bool, interrupted: threading.Event
+    ) -> None:
+        self._session = session
+        self._node = node
+        self._operator = operator
+        self._hold_s = hold_s
+        self._is_shown = is_shown
+        self.interrupted = interrupted
+        self.steering = Steering()
+
+    def send(self, action: StimulationAction, *, at_least_s: float = 0.0) -> None:
+        """Send a command; a motion has a hold of so long, or longer where that is usual."""
+        is_stop = action is StimulationAction.STOP
+        command_id = f"steer-{uuid.uuid4().hex}"
+        self.steering.sent(command_id, action)
+        self._session.send(
+            StimulationRequest(
+                command_id=command_id,
+                node=self._node,
+                action=action,
+                operator=self._operator,
+                issued_wall_ns=Nanoseconds(time.time_ns()),
+                ttl_ms=_TTL_MS,
+                hold_ms=0 if is_stop else int(max(self._hold_s, at_least_s) * 1000),
+                commander="" if is_stop else self._session.name,
+            )
+        )
+
+    def pump(self) -> None:
+        """Beat while the biobot may move, and take what was heard."""
+        now_s = time.monotonic()
+        if self.steering.is_moving:
+            self._session.beat(now_s=now_s)
+        for heard in self._session.take():
+            match heard:
+                case CommandStage():
+                    self.steering.take_stage(heard)
+                    if not self._is_shown:
+                        print(json.dumps(msgspec.to_builtins(heard)), flush=True)
+                case StimulationAccount():
+                    self.steering.take_account(heard, now_s=now_s)
+                case str():
+                    self.steering.say(heard)
+                    if not self._is_shown:
+                        complain(heard)
+
+    def wait(self, seconds: float, *, until: Callable[[], bool]) -> None:
+        """Beat and hear for so long, or until something is so."""
+        deadline_s = time.monotonic() + seconds
+        while not until() and (rest_s := deadline_s - time.monotonic()) > 0:
+            self.pump()
+            time.sleep(min(_TICK_S, rest_s))
+        self.pump()
+
+    def stop_finally(self) -> None:
+        """Stop the biobot, unless it never moved or confirmed a stop already."""
+        if not self.steering.is_moving:
+            return
+        self.send(StimulationAction.STOP)
+        with contextlib.suppress(OSError):  # where the terminal is gone, nothing can be printed
+            self.wait(_STOP_S, until=lambda: self.steering.has_ended)
+
+
+def follow_script(helm: Helm, steps: list[Step]) -> None:
+    """Take one step after the other; each lasts as long as it says, and until it is known what became of it."""
+    is_interrupted = helm.interrupted.is_set
+    for step in steps:
+        if is_interrupted():
+            return
+        begun_s = time.monotonic()
+        helm.send(step.action, at_least_s=step.wait_s + 1.0)
+        helm.wait(_STOP_S, until=lambda: helm.steering.has_ended or is_interrupted())
+        helm.wait(step.wait_s - (time.monotonic() - begun_s), until=is_interrupted)
+
+
+def follow_keys(helm: Helm) -> None:
+    """Do what the keys ask for, and show how it stands, until the operator leaves."""
+    with _raw_keys() as read_keys, Live(console=Console(highlight=False), auto_refresh=False) as live:
+        while not helm.interrupted.is_set():
+            for key in read_keys():
+                if key in {"q", "escape", "\x03", "\x04"}:
+                    return
+                if key in KEYS:
+                    helm.send(KEYS[key])
+            helm.pump()
+            live.update(_picture(helm.steering), refresh=True)
+
+
+@contextlib.contextmanager
+def signals_interrupt() -> Iterator[threading.Event]:
+    """Yield what the end of the terminal or of the process, or Ctrl-C, sets; a second signal ends the process at once."""
+    interrupted = threading.Event()
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        interrupted.set()
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield interrupted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _picture(steering: Steering) -> Group:
+    account = steering.account
+    ready_s = steering.ready_in_s(now_s=time.monotonic())
+    lines = [Text(_HELP, style="dim")]
+    if account is not None and ready_s is not None:
+        lines.append(Text(f"ready in {ready_s:.1f} s", style="yellow") if ready_s else Text("ready", style="green"))
+        window = f"{account.n_trains_in_window} trains, {account.on_ms_in_window / 1000:.1f} s in {account.window_s:g} s"
+        lines.append(Text(f"{window}; habituation {account.habituation:.0%}", style="dim"))
+    lines += [Text(line) for line in steering.told]
+    return Group(*lines)
+
+
+@contextlib.contextmanager
+def _raw_keys() -> Iterator[Callable[[], list[str]]]:
+    """Yield what returns the keys typed within a moment; the terminal is as before in the end."""
+    descriptor = sys.stdin.fileno()
+    before = termios.tcgetattr(descriptor)
+    rest = b""
+
+    def read() -> list[str]:
+        nonlocal rest
+        if not select.select([descriptor], [], [], _TICK_S)[0]:
+            lone, rest = rest, b""
+            return ["escape"] if lone else []
+        try:
+            typed = os.read(descriptor, 64)
+        except OSError:
+            typed = b""
+        if not typed:
+            return ["q"]  # the terminal hung up
+        keys, rest = parse_keys(rest + typed)
+        return keys
+
+    try:
+        tty.setcbreak(descriptor)
+        yield read
+    finally:
+        with contextlib.suppress(termios.error):
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -1,0 +1,100 @@
+"""The audit log as people ask for it: rows by biobot, operator, command, kind and time, and each biobot's dose. Only read."""
+
+import contextlib
+import sqlite3
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import msgspec
+
+from firmware_protocol.units import NodeId
+from gateway.journal_file.audit_chain import COLUMNS, entry_of
+from gateway.journal_file.audit_verify import AuditFindings, verify_audit
+from gateway.journal_file.writes import AuditEntry
+
+_A_PAGE = 512
+"""Rows read in one moment of the file: a gateway that writes meanwhile needs no more disk for whoever reads slowly."""
+
+_DOSES = """
+SELECT node, sum(train_ms > 0), sum(train_ms), max(CASE WHEN train_ms > 0 THEN wall_ns END), sum(stage = 'accepted'),
+  sum(stage = 'biobot_confirmed'), sum(stage = 'refused'), sum(stage = 'failed'), sum(stage = 'unknown')
+FROM audit WHERE kind IN ('stage', 'sent_again') AND node IS NOT NULL GROUP BY node ORDER BY node"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditSelection:
+    """Which rows are wanted; None: whatever they have there."""
+
+    node: int | None = None
+    operator: str | None = None
+    command_id: str | None = None
+    kind: str | None = None
+    since_wall_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnreadableRow:
+    """A row that this program did not write so."""
+
+    id: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dose:
+    """How a biobot was stimulated, as far as the log goes back: trains admitted and their time, commands by what became of them."""
+
+    node: NodeId
+    n_trains: int
+    on_ms: int
+    last_train_wall_ns: int | None
+    n_accepted: int
+    n_confirmed: int
+    n_refused: int
+    n_failed: int
+    n_unknown: int
+
+
+def read_audit_rows(path: Path, selection: AuditSelection, *, after: int = 0) -> Iterator[AuditEntry | UnreadableRow]:
+    """Yield the rows that are wanted, from the one behind number ``after`` on, in order; raises ``sqlite3.Error``."""
+    wanted = {
+        "node = ?": selection.node,
+        "operator = ?": selection.operator,
+        "command_id = ?": selection.command_id,
+        "kind = ?": selection.kind,
+        "wall_ns >= ?": selection.since_wall_ns,
+    }
+    asked = {condition: value for condition, value in wanted.items() if value is not None}
+    where = " AND ".join(("id > ?", *asked))
+    query = f"SELECT {COLUMNS}, chain FROM audit WHERE {where} ORDER BY id LIMIT {_A_PAGE}"  # noqa: S608  # parts of this file
+    with contextlib.closing(_open(path)) as connection:
+        while page := connection.execute(query, (after, *asked.values())).fetchall():
+            after = page[-1][0]
+            for row in page:
+                try:
+                    yield entry_of(row)
+                except (msgspec.ValidationError, TypeError) as error:
+                    yield UnreadableRow(id=row[0], reason=str(error))
+
+
+def read_doses(path: Path) -> list[Dose]:
+    """Return the dose of every biobot that was ever commanded, by number; raises ``sqlite3.Error``."""
+    with contextlib.closing(_open(path)) as connection:
+        rows = connection.execute(_DOSES).fetchall()
+    names = Dose.__dataclass_fields__
+    return [Dose(**dict(zip(names, (NodeId(node), *counts), strict=True))) for node, *counts in rows]
+
+
+def verify_audit_of(path: Path, *, witness: str = "", tell: Callable[[str], None]) -> AuditFindings:
+    """Verify the chain of a journal's audit log in one moment of the file; raises ``sqlite3.Error``."""
+    with contextlib.closing(_open(path)) as connection:
+        connection.execute("BEGIN")
+        return verify_audit(connection, witness=witness, tell=tell)
+
+
+def _open(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None, timeout=5.0)
+    connection.text_factory = partial(str, encoding="utf-8", errors="backslashreplace")
+    return connection

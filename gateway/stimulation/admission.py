@@ -1,0 +1,110 @@
+"""Whether a command may go to its animal: a request and all that is known become a pulse train, or a refusal. Pure.
+
+A stop is never asked any of this; see ``stops.py``.
+"""
+
+from dataclasses import dataclass
+
+from firmware_protocol.contract.commands import Refusal, StimulationAction, StimulationRequest
+from firmware_protocol.messages import Capability
+from firmware_protocol.units import EVERYBODY, NS_PER_MS
+from gateway.config import StimulationTable
+from gateway.nodes import Node
+from gateway.stimulation.ledger import TrainLedger
+from gateway.stimulation.pulses import Pulse, pulse_of, pulse_refusal
+from gateway.stimulation.verdict import Refused
+
+MAX_RUNNING = 256
+"""Commands under way, stops aside; more are refused."""
+
+MAX_RUNNING_OF_ONE = 4
+"""The same of one biobot: no more wait in a backpack (WIRE_FORMAT.md §6.8)."""
+
+_MAX_TTL_MS = 0xFFFF
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Circumstances:
+    """What is so when a request comes. ``node`` is None where its biobot was never heard of."""
+
+    node: Node | None
+    now_ns: int
+    now_wall_ns: int
+    n_running: int
+    n_running_of_node: int
+    is_stopping: bool
+    is_commander_there: bool
+    journal_fault: str | None
+
+
+def admit(request: StimulationRequest, *, table: StimulationTable, ledger: TrainLedger, so: Circumstances) -> Pulse | Refused:
+    """Return the train that a start or a turn may give now, or why it may not."""
+    node = so.node
+    if node is None:
+        return unknown_biobot(request)
+    refused = (
+        _why_unfit(node) or _why_late(request, table=table, now_wall_ns=so.now_wall_ns) or _why_unattended(request, so) or _why_too_many(so)
+    )
+    if refused is not None:
+        return refused
+    pulse = pulse_of(request.pulse, table)
+    if pulse.duration_ms == 0 and request.action is not StimulationAction.START:
+        return Refused(refusal=Refusal.PULSE, reason="a turn without a train is none: duration_ms is 0; ask for 1 ms or more")
+    refused = pulse_refusal(pulse, table=table, limits=node.limits)
+    refused = refused or ledger.refusal(node.node, train_ms=pulse.duration_ms, now_ns=so.now_ns, announced=node.limits)
+    return refused or pulse
+
+
+def unknown_biobot(request: StimulationRequest) -> Refused:
+    """Return the refusal of a command to a biobot that this gateway has never heard."""
+    why = "it was never heard by this gateway" if request.node < EVERYBODY else f"the largest number of a biobot is {EVERYBODY - 1}"
+    return Refused(refusal=Refusal.UNKNOWN_BIOBOT, reason=f"biobot {request.node} is not known here: {why}")
+
+
+def remaining_ms(request: StimulationRequest, *, now_wall_ns: int) -> int:
+    """Return how much of a command's time to live is left [ms]; one from the future has all of it."""
+    age_ms = (now_wall_ns - request.issued_wall_ns) // NS_PER_MS
+    return min(request.ttl_ms - max(0, age_ms), _MAX_TTL_MS)
+
+
+def _why_unfit(node: Node) -> Refused | None:
+    if node.is_introduced and not node.capabilities & Capability.STIMULATION:
+        return Refused(refusal=Refusal.UNFIT_BIOBOT, reason=f"biobot {node.node} cannot be stimulated: its backpack says so")
+    if not node.last_heard_ns:
+        reason = (
+            f"biobot {node.node} was not heard since the gateway started, and another may have its address by now; it is being asked: "
+            "try again soon"
+        )
+        return Refused(refusal=Refusal.UNFIT_BIOBOT, reason=reason)
+    return None
+
+
+def _why_late(request: StimulationRequest, *, table: StimulationTable, now_wall_ns: int) -> Refused | None:
+    ahead_ms = (request.issued_wall_ns - now_wall_ns) // NS_PER_MS
+    if ahead_ms > table.max_clock_ahead_s * 1000:
+        reason = f"it was issued {ahead_ms} ms in the future, the limit is {table.max_clock_ahead_s * 1000:g} ms; set the clocks"
+        return Refused(refusal=Refusal.FROM_THE_FUTURE, reason=reason)
+    if remaining_ms(request, now_wall_ns=now_wall_ns) <= 0:
+        reason = f"it is stale: issued {-ahead_ms} ms ago with a time to live of {request.ttl_ms} ms; send it anew"
+        return Refused(refusal=Refusal.STALE, reason=reason)
+    return None
+
+
+def _why_unattended(request: StimulationRequest, so: Circumstances) -> Refused | None:
+    """Return why nobody would look after the command: the gateway ends, its commander is away, or the disk keeps no record of it."""
+    if so.is_stopping:
+        return Refused(refusal=Refusal.STOPPING, reason="the gateway is about to end; send it when it runs again")
+    if not so.is_commander_there:
+        reason = f"its commander {request.commander!r} is not there: it has no liveliness token; declare it, and send the command anew"
+        return Refused(refusal=Refusal.NO_COMMANDER, reason=reason)
+    if so.journal_fault is not None:
+        return Refused(refusal=Refusal.JOURNAL, reason=f"the journal takes nothing ({so.journal_fault}); make room on its disk")
+    return None
+
+
+def _why_too_many(so: Circumstances) -> Refused | None:
+    for n, limit, whose in ((so.n_running, MAX_RUNNING, ""), (so.n_running_of_node, MAX_RUNNING_OF_ONE, " to this biobot")):
+        if n >= limit:
+            reason = f"{n} commands{whose} are under way, the limit is {limit}; wait for their answers"
+            return Refused(refusal=Refusal.TOO_MANY, reason=reason)
+    return None

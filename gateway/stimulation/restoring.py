@@ -1,0 +1,73 @@
+"""What a new process knows of the trains of earlier ones, from the rows of the audit log. Pure.
+
+Rows are placed by clocks that nobody sets; where these do not say when a train was, it counts as later than it was, never as earlier.
+"""
+
+from collections.abc import Callable, Iterable
+
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction
+from firmware_protocol.contract.records import decode_record
+from firmware_protocol.units import NS_PER_S
+from gateway.journal_file import STAGE, AuditEntry
+from gateway.stimulation.ledger import Train, TrainLedger
+from gateway.stimulation.telling import COMMIT_TIMEOUT_S, STRAYED, TAKEN_BACK
+
+GATE = "gate"
+"""Kind of the rows that say when the gate opens and closes."""
+
+OPENED, CLOSED = "opened", "closed"
+"""Their stages. Between the two a stop may have given a train that did not come to disk any more."""
+
+_UNSENT = frozenset({Stage.REFUSED.value, Stage.FAILED.value})
+
+
+def restore_trains(
+    ledger: TrainLedger,
+    rows: Iterable[AuditEntry],
+    *,
+    instant_of: Callable[[AuditEntry], int],
+    latest_ns: Callable[[int], int],
+    now_ns: int,
+) -> None:
+    """Give a ledger the trains of earlier processes.
+
+    Parameters
+    ----------
+    rows
+        Of the audit log, in order.
+    instant_of
+        Says when a row was written, on this process's monotonic clock, or later than it was.
+    latest_ns
+        Says when a train begins at the latest whose frame was given to a radio at an instant.
+    """
+    horizon_ns = now_ns - int(ledger.limits.window_s * NS_PER_S) - latest_ns(0) - _LONGEST_NS
+    trains: dict[str, Train] = {}
+    for row in rows:
+        at_ns = instant_of(row)
+        if row.node is None or at_ns < horizon_ns:
+            continue
+        if row.train_ms:
+            begins_ns = at_ns if row.kind == STRAYED else latest_ns(at_ns + int(COMMIT_TIMEOUT_S * NS_PER_S))
+            train = ledger.reserve(row.node, train_ms=row.train_ms, latest_ns=begins_ns, now_ns=now_ns)
+            if row.kind == STAGE:
+                trains[row.command_id] = train
+        elif row.command_id in trains:
+            known = trains[row.command_id]
+            if row.kind == TAKEN_BACK or (row.kind == STAGE and row.stage in _UNSENT and not _is_stop(row)):
+                ledger.take_back(row.node, trains.pop(row.command_id))
+            elif row.kind == STAGE and row.stage == Stage.BIOBOT_CONFIRMED.value and not _is_stop(row):
+                known.latest_ns = min(known.latest_ns, at_ns)
+
+
+def was_killed(last: AuditEntry | None) -> bool:
+    """Whether the process before this one ended without closing its gate; ``last`` is the newest row of kind ``GATE``."""
+    return last is not None and last.stage == OPENED
+
+
+def _is_stop(row: AuditEntry) -> bool:
+    """Whether a row is of a stop: of its frames several may have been on their way, and its answer speaks of one of them."""
+    return decode_record(row.body, CommandStage).action in {StimulationAction.STOP, StimulationAction.STOP_ALL}
+
+
+_LONGEST_NS = 66 * NS_PER_S
+"""The longest pause that a backpack can announce (WIRE_FORMAT.md §5.8), and the longest train."""

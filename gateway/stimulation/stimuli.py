@@ -1,0 +1,161 @@
+"""Starts and turns: on disk first, sent once, never again. Without an answer the outcome is unknown, and says so."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from firmware_protocol.contract.commands import Refusal, Stage
+from firmware_protocol.units import NS_PER_MS, NS_PER_S
+from gateway.config import StimulationTable
+from gateway.errors import RadioUnavailableError
+from gateway.radio import Fate, RadioOutcome
+from gateway.stimulation import frames
+from gateway.stimulation.admission import remaining_ms
+from gateway.stimulation.answers import AnswerKeeper
+from gateway.stimulation.commands import Command
+from gateway.stimulation.ledger import TrainLedger
+from gateway.stimulation.outside import CommandSender, Sending
+from gateway.stimulation.pulses import Pulse
+from gateway.stimulation.telling import COMMIT_TIMEOUT_S, StageTeller
+from gateway.stimulation.verdict import Refused
+
+UNWRITTEN_S = 1.0
+"""A frame that was not written to its dongle's line after this is taken back: what it asks for is too old for an animal."""
+
+_QUEUE_NS = (frames.MAX_QUEUED_MS + 10) * NS_PER_MS
+"""How long after its frame a train may begin: what the backpack may have it wait, in ticks of its own clock."""
+
+_OVERTAKEN = Refused(refusal=Refusal.OVERTAKEN, reason="a stop of this biobot came before it was sent; send it anew if it is still wanted")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flight:
+    """How long a frame may be on its way [ns], beside the time in which it can be taken back."""
+
+    table: StimulationTable
+
+    def latest_ns(self, *, now_ns: int, unwritten_s: float = UNWRITTEN_S) -> int:
+        """Return the latest instant at which a train begins whose frame is given to a radio now, and taken back if unwritten."""
+        return now_ns + int((unwritten_s + self.table.flight_s) * NS_PER_S) + _QUEUE_NS
+
+
+class Stimuli:
+    """Runs starts and turns that were admitted."""
+
+    def __init__(
+        self,
+        *,
+        table: StimulationTable,
+        radio_timeout_s: float,
+        sender: CommandSender,
+        ledger: TrainLedger,
+        teller: StageTeller,
+        answers: AnswerKeeper,
+        now_ns: Callable[[], int],
+        wall_clock: Callable[[], int],
+        journal_fault: Callable[[], str | None],
+    ) -> None:
+        self._table = table
+        self._radio_timeout_ns = int(radio_timeout_s * NS_PER_S)
+        self._sender = sender
+        self._ledger = ledger
+        self._teller = teller
+        self._answers = answers
+        self._flight = Flight(table=table)
+        self._now_ns = now_ns
+        self._wall_clock = wall_clock
+        self._journal_fault = journal_fault
+
+    async def run(self, command: Command, pulse: Pulse) -> None:
+        """Take an admitted command to its last stage."""
+        began_ns, node = self._now_ns(), command.request.node
+        until_ns = began_ns + int(COMMIT_TIMEOUT_S * NS_PER_S)
+        if pulse.duration_ms:
+            # From now on: no other one must be admitted while this one waits for the disk.
+            latest_ns = self._flight.latest_ns(now_ns=until_ns)
+            command.train = self._ledger.reserve(node, train_ms=pulse.duration_ms, latest_ns=latest_ns, now_ns=began_ns)
+        accepted = self._teller.stage(command, Stage.ACCEPTED, deadline_ns=until_ns + self._radio_timeout_ns)
+        is_on_disk = await self._teller.commit(command, accepted, train_ms=pulse.duration_ms)
+        if command.is_final:  # the gateway ends
+            self._take_back(command)
+            return
+        refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns)
+        if refused is None:
+            ttl_ms = remaining_ms(command.request, now_wall_ns=self._wall_clock())
+            try:
+                sending = self._sender.send(node, frames.stimulus(command, pulse, ttl_ms=ttl_ms))
+            except RadioUnavailableError as error:
+                refused = Refused(refusal=Refusal.RADIO, reason=str(error))
+        if refused is not None:
+            self._take_back(command)
+            await self._teller.refuse(command, refused)
+            return
+        sent_ns = self._now_ns()
+        command.sendings.append(sending)
+        if command.train is not None:
+            command.train.latest_ns = self._flight.latest_ns(now_ns=sent_ns)
+        self._teller.announce(command, accepted)
+        await self._follow(command, sending, sent_ns=sent_ns)
+
+    async def _follow(self, command: Command, sending: Sending, *, sent_ns: int) -> None:
+        """Wait for radio and biobot, each until its deadline."""
+        deadline_ns = sent_ns + self._radio_timeout_ns
+        unwritten_ns = sent_ns + int(UNWRITTEN_S * NS_PER_S)
+        outcome: RadioOutcome | None = None
+        while not command.reply.done() and not command.is_final:
+            now_ns = self._now_ns()
+            if outcome is None and not sending.done() and now_ns >= unwritten_ns:
+                self._sender.withdraw(sending)  # where it was not written, its fate is settled by that
+                unwritten_ns = deadline_ns
+            if outcome is None and sending.done():
+                outcome = sending.result()
+                if outcome.fate is Fate.NOT_SENT:
+                    await self._end_unsent(command, outcome)
+                    return
+                deadline_ns = self._next_deadline_ns(outcome, deadline_ns=deadline_ns, now_ns=now_ns)
+                if outcome.fate is Fate.SENT:
+                    self._teller.tell(command, Stage.RADIO_CONFIRMED, deadline_ns=deadline_ns)
+            if now_ns >= deadline_ns:
+                self._teller.tell(command, Stage.UNKNOWN, reason=self._what_is_missing(outcome))
+                return
+            awaited, until_ns = ([sending], min(unwritten_ns, deadline_ns)) if outcome is None else ([], deadline_ns)
+            await self._answers.wait(command, awaited, until_ns=until_ns)
+        if not command.is_final:
+            self._answers.settle(command)
+
+    def _next_deadline_ns(self, outcome: RadioOutcome, *, deadline_ns: int, now_ns: int) -> int:
+        """Return by when the biobot answers; without a radio's confirmation no later than that was due."""
+        answer_ns = now_ns + int(self._table.reply_timeout_s * NS_PER_S)
+        return answer_ns if outcome.fate is Fate.SENT else min(deadline_ns, answer_ns)
+
+    async def _end_unsent(self, command: Command, outcome: RadioOutcome) -> None:
+        self._take_back(command)
+        if command.is_overtaken:
+            await self._teller.refuse(command, _OVERTAKEN)
+        else:
+            self._teller.tell(
+                command, Stage.FAILED, reason=f"the dongle did not send it: {outcome.reason or 'its line took nothing in time'}"
+            )
+
+    def _what_is_missing(self, outcome: RadioOutcome | None) -> str:
+        reply_s, radio_s = self._table.reply_timeout_s, self._radio_timeout_ns / NS_PER_S
+        if outcome is None:
+            return f"no confirmation of the radio within {radio_s:g} s, and no answer of the biobot; it may have been obeyed"
+        if outcome.fate is Fate.SENT:
+            return f"the radio has sent it, but no answer of the biobot within {reply_s:g} s; it may have been obeyed"
+        return f"no answer within {reply_s:g} s ({outcome.reason or 'the radio does not say what became of it'}); it may have been obeyed"
+
+    def _why_not_now(self, command: Command, *, is_on_disk: bool) -> Refused | None:
+        """Return why a command that was admitted must not be sent after its wait for the disk, or None."""
+        if command.is_overtaken:
+            return _OVERTAKEN
+        if not is_on_disk:
+            reason = f"the journal takes nothing ({self._journal_fault() or 'slow disk'}); make room on its disk, or use a faster one"
+            return Refused(refusal=Refusal.JOURNAL, reason=reason)
+        if remaining_ms(command.request, now_wall_ns=self._wall_clock()) <= 0:
+            return Refused(refusal=Refusal.STALE, reason="it expired before it could be sent; give it a longer time to live")
+        return None
+
+    def _take_back(self, command: Command) -> None:
+        if command.train is not None:
+            self._ledger.take_back(command.request.node, command.train)
+            command.train = None

@@ -1,0 +1,270 @@
+"""The stop of everybody: by broadcast over every radio at once, then biobot by biobot, until those within reach have confirmed.
+
+All of it has one number on the wire, so that a biobot that heard several of its frames obeys once. None has a train: the stimulation of a
+whole swarm is no way to end one. Those under controlled motion come first, and no more frames leave in a moment than queues can take.
+"""
+
+import asyncio
+import contextlib
+import hashlib
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+
+from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
+from firmware_protocol.messages import Stimulate
+from firmware_protocol.units import NS_PER_S, NodeId
+from gateway.config import StimulationTable
+from gateway.errors import RadioUnavailableError
+from gateway.journal_file import SENT_AGAIN
+from gateway.nodes import NodeBook
+from gateway.radio import Fate
+from gateway.stimulation import frames
+from gateway.stimulation.answers import AnswerKeeper
+from gateway.stimulation.commands import Command, CommandBook
+from gateway.stimulation.outside import CommandSender, Sending
+from gateway.stimulation.pulses import pulse_of
+from gateway.stimulation.stops import Stops
+from gateway.stimulation.telling import StageTeller
+
+REACHABLE_NS = 300 * NS_PER_S
+"""A biobot heard no longer ago than this is within reach: its confirmation is waited for."""
+
+TOGETHER = 8
+"""Frames that leave in one moment."""
+
+PAUSE_S = 0.04
+"""Between two such moments: 200 frames a second, about what a ZigBee channel carries of unicasts with their acknowledgements."""
+
+_MADE_TOGETHER = 256
+_SPARE_S = 1.0
+"""Beside what the rounds take, until the last stage is told."""
+
+_NAMED = 10
+_MAX_ID = 64
+
+
+class StopAll:
+    """Runs stops of everybody."""
+
+    def __init__(
+        self,
+        *,
+        table: StimulationTable,
+        sender: CommandSender,
+        nodes: NodeBook,
+        book: CommandBook,
+        stops: Stops,
+        teller: StageTeller,
+        answers: AnswerKeeper,
+        now_ns: Callable[[], int],
+        controlled: Callable[[], Iterable[NodeId]],
+    ) -> None:
+        self._table = table
+        self._sender = sender
+        self._nodes = nodes
+        self._book = book
+        self._stops = stops
+        self._teller = teller
+        self._answers = answers
+        self._now_ns = now_ns
+        self._controlled = controlled
+
+    async def run(self, whole: Command) -> None:
+        """Take a stop of everybody to its last stage."""
+        sweep = _Sweep(whole=whole, table=self._table, sender=self._sender, teller=self._teller, answers=self._answers, now_ns=self._now_ns)
+        sweep.broadcast()
+        self._stops.overtake(self._book.running())
+        sweep.begin(n_known=len(self._nodes))
+        try:
+            for n_before, (is_near, request) in enumerate(self._requests(whole)):
+                assert whole.wire_command is not None
+                if n_before and n_before % _MADE_TOGETHER == 0:
+                    await asyncio.sleep(0)  # others have their turn
+                part = Command(request=request, key=self._free_key(request.command_id), part_of=whole.request.command_id)
+                self._book.begin(part)
+                self._book.number(part, whole.wire_command)
+                sweep.add(part, is_near=is_near)
+            await sweep.run()
+        finally:
+            for part in sweep.parts:
+                self._book.finish(part)
+
+    def _requests(self, whole: Command) -> Iterator[tuple[bool, StimulationRequest]]:
+        """Yield a stop of each biobot that is known, and whether it is within reach; those under controlled motion first."""
+        controlled = dict.fromkeys(self._controlled())
+        now_ns = self._now_ns()
+        for name in [*controlled, *(node.node for node in self._nodes.all() if node.node not in controlled)]:
+            node = self._nodes.find(name)
+            if node is not None:
+                is_near = bool(node.last_heard_ns) and node.last_heard_ns >= now_ns - REACHABLE_NS
+                yield is_near or name in controlled, _part_of(whole.request, name)
+
+    def _free_key(self, command_id: str) -> str:
+        key = command_id
+        while self._book.find(key) is not None:
+            key += " again"
+        return key
+
+
+class _Sweep:
+    """One stop of everybody, under way."""
+
+    def __init__(
+        self,
+        *,
+        whole: Command,
+        table: StimulationTable,
+        sender: CommandSender,
+        teller: StageTeller,
+        answers: AnswerKeeper,
+        now_ns: Callable[[], int],
+    ) -> None:
+        self.parts: list[Command] = []
+        self._whole = whole
+        self._table = table
+        self._sender = sender
+        self._teller = teller
+        self._answers = answers
+        self._now_ns = now_ns
+        self._within_reach: list[Command] = []
+        self._n_silent = 0
+        self._news = asyncio.Event()
+        self._end_ns = 0
+        self._why_unsent = "no radio is up"
+
+    def broadcast(self) -> None:
+        """Send to everybody over every radio."""
+        for radio, sending in self._sender.send_to_all(self._message(self._whole)).items():
+            self._whole.sendings.append(sending)
+            sending.add_done_callback(partial(self._on_broadcast, radio))
+
+    def begin(self, *, n_known: int) -> None:
+        """Tell that the broadcast is out; the deadline reckons with rounds of so many frames."""
+        round_s = self._table.stop_retry_s + n_known // TOGETHER * PAUSE_S
+        self._end_ns = self._now_ns() + int((self._table.stop_attempts * round_s + _SPARE_S) * NS_PER_S)
+        self._teller.tell(self._whole, Stage.ACCEPTED, deadline_ns=self._end_ns)
+
+    def add(self, part: Command, *, is_near: bool) -> None:
+        """Take the stop of one biobot; one that is not within reach is sent to once, and not waited for."""
+        self.parts.append(part)
+        if is_near:
+            self._within_reach.append(part)
+            self._n_silent += 1
+        part.reply.add_done_callback(lambda _: self._on_reply(part, is_near=is_near))
+
+    async def run(self) -> None:
+        """Send and wait, round after round, until all within reach have confirmed."""
+        retry_ns = int(self._table.stop_retry_s * NS_PER_S)
+        near = set(self._within_reach)
+        far = [part for part in self.parts if part not in near]
+        for attempt in range(self._table.stop_attempts):
+            if attempt:
+                self.broadcast()
+            for place, part in enumerate([*self._silent(), *(far if attempt == 0 else [])]):
+                if place and place % TOGETHER == 0:
+                    await asyncio.sleep(PAUSE_S)
+                self._stop(part)
+            if await self._is_done_by(self._now_ns() + retry_ns):
+                break
+        self._end()
+
+    def _silent(self) -> list[Command]:
+        return [part for part in self._within_reach if not part.is_final]
+
+    def _message(self, command: Command) -> Stimulate:
+        return frames.stop(command, pulse_of(command.request.pulse, self._table), has_train=False)
+
+    def _stop(self, part: Command) -> None:
+        if part.is_final:
+            return
+        message, sendings = self._message(part), list[Sending]()
+        try:
+            sendings.append(self._sender.send(part.request.node, message, is_urgent=True))
+        except RadioUnavailableError as error:
+            self._why_unsent = str(error)
+        sendings += self._sender.send_elsewhere(part.request.node, message)
+        part.sendings += sendings
+        n_again = len(sendings)
+        if not part.stages:
+            self._teller.tell(part, Stage.ACCEPTED, deadline_ns=self._end_ns)
+            n_again -= 1
+        for _ in range(n_again):
+            self._teller.note(part, SENT_AGAIN)
+        for sending in sendings:
+            sending.add_done_callback(partial(self._on_sent, part))
+
+    async def _is_done_by(self, until_ns: int) -> bool:
+        """Wait until there is nothing more to wait for, or an instant; return which."""
+        while self._n_silent or not self._whole.is_radio_confirmed:
+            rest_s = (until_ns - self._now_ns()) / NS_PER_S
+            if rest_s <= 0:
+                return False
+            self._news.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(rest_s):
+                    await self._news.wait()
+        return True
+
+    def _on_broadcast(self, radio: str, sending: Sending) -> None:
+        if _is_sent(sending) and not self._whole.is_final and not self._whole.is_radio_confirmed:
+            self._teller.tell(self._whole, Stage.RADIO_CONFIRMED, reason=f"radio {radio} has told everybody", deadline_ns=self._end_ns)
+            self._news.set()
+
+    def _on_sent(self, part: Command, sending: Sending) -> None:
+        if _is_sent(sending) and not part.is_final and not part.is_radio_confirmed:
+            self._teller.tell(part, Stage.RADIO_CONFIRMED, deadline_ns=self._end_ns)
+
+    def _on_reply(self, part: Command, *, is_near: bool) -> None:
+        if part.is_final or part.reply.cancelled():
+            return
+        if not part.stages:
+            self._teller.tell(part, Stage.ACCEPTED, deadline_ns=self._end_ns)
+        self._answers.settle(part)
+        self._n_silent -= is_near
+        self._news.set()
+
+    def _end(self) -> None:
+        """Tell the last stages, of the parts and then of the whole."""
+        silent = self._silent()
+        for part in self.parts:
+            if part.is_final:
+                continue
+            if part.sendings or self._whole.sendings:
+                self._teller.tell(part, Stage.UNKNOWN, reason=f"no answer to {self._table.stop_attempts} stops; look at the animal")
+            else:
+                self._teller.tell(part, Stage.FAILED, reason=self._why_unsent)
+        n_near, n_far = len(self._within_reach), len(self.parts) - len(self._within_reach)
+        beyond = f"; {n_far} others were not heard of late, and were sent one stop each" if n_far else ""
+        if not any(one.sendings for one in (self._whole, *self.parts)):
+            self._teller.tell(
+                self._whole, Stage.FAILED, reason=f"nothing could be sent: {self._why_unsent}; look at the animals and the radios"
+            )
+        elif silent:
+            names = ", ".join(str(part.request.node) for part in silent[:_NAMED])
+            more = f" and {len(silent) - _NAMED} more" if len(silent) > _NAMED else ""
+            reason = f"{len(silent)} of {n_near} biobots within reach did not confirm: {names}{more}; look at them{beyond}"
+            self._teller.tell(self._whole, Stage.UNKNOWN, reason=reason)
+        elif not self._whole.is_radio_confirmed and not n_near:
+            self._teller.tell(self._whole, Stage.UNKNOWN, reason=f"no radio says that it has told everybody; look at the animals{beyond}")
+        else:
+            self._teller.tell(self._whole, Stage.BIOBOT_CONFIRMED, reason=f"all {n_near} biobots within reach have confirmed{beyond}")
+
+
+def _part_of(whole: StimulationRequest, node: NodeId) -> StimulationRequest:
+    """Return the stop of one biobot that is a part of one of all; its id is the whole's and the biobot's number."""
+    command_id = f"{whole.command_id}.{node}"
+    if len(command_id) > _MAX_ID:
+        digest = hashlib.sha256(whole.command_id.encode()).hexdigest()[:16]
+        command_id = f"{whole.command_id[: _MAX_ID - 24]}-{digest}.{node}"
+    return StimulationRequest(
+        command_id=command_id,
+        node=node,
+        action=StimulationAction.STOP,
+        operator=whole.operator,
+        issued_wall_ns=whole.issued_wall_ns,
+        ttl_ms=whole.ttl_ms,
+    )
+
+
+def _is_sent(sending: Sending) -> bool:
+    return not sending.cancelled() and sending.done() and sending.result().fate is Fate.SENT

@@ -1,0 +1,74 @@
+"""How endpoints' answers are described in the OpenAPI document."""
+
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any, Final
+
+from mapper.api.errors import PROBLEM_TYPE
+from mapper.api.schemas import Problem
+
+_SUMMARIES: Final = {
+    HTTPStatus.FORBIDDEN: "A page of another site asked for it",
+    HTTPStatus.NOT_FOUND: "Unknown here",
+    HTTPStatus.CONFLICT: "The gateway refused it: `reason` is for people, `refusal` for programs",
+    HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "The body is too large",
+    HTTPStatus.UNPROCESSABLE_ENTITY: "The request is malformed",
+    HTTPStatus.TOO_MANY_REQUESTS: "Too much at the same time",
+    HTTPStatus.SERVICE_UNAVAILABLE: "Not now: try again after Retry-After",
+    HTTPStatus.INTERNAL_SERVER_ERROR: "A computation failed",
+    HTTPStatus.BAD_REQUEST: "The body is no JSON",
+}
+_FRESHNESS_HEADERS: Final = {
+    "Map-Behind": {"description": "No record that is missing in the map came earlier than this [s] ago", "schema": {"type": "number"}},
+    "Map-Waiting": {"description": "Records that have come since the map was begun", "schema": {"type": "integer"}},
+}
+
+BODY_PROBLEMS: Final = (
+    HTTPStatus.BAD_REQUEST,
+    HTTPStatus.FORBIDDEN,
+    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    HTTPStatus.UNPROCESSABLE_ENTITY,
+)
+"""What may be wrong with any request that has a body."""
+
+
+def describe_answers(
+    content: type | str,
+    problems: Sequence[HTTPStatus] = (),
+    *,
+    is_versioned: bool = False,
+    under_way: str | None = None,
+    examples: Mapping[HTTPStatus, object] | None = None,
+) -> dict[int | str, dict[str, Any]]:
+    """Describe an endpoint's answers: a model or a media type, and the errors it may tell.
+
+    Parameters
+    ----------
+    under_way
+        What 202 means; None: it is not answered.
+    examples
+        An example of an error's body by its status.
+    """
+    fine: dict[str, Any] = {"description": "The newest state"}
+    if isinstance(content, str):
+        kind = {"type": "string"} if content.startswith("text/") else {"type": "string", "format": "binary"}
+        fine["content"] = {content: {"schema": kind}}
+    else:
+        fine["model"] = content
+    answers: dict[int | str, dict[str, Any]] = {200: fine}
+    if under_way is not None:
+        answers[202] = {"model": content, "description": under_way}
+    if is_versioned:
+        fine["headers"] = _FRESHNESS_HEADERS
+        answers[304] = {"description": "The client has this version (If-None-Match)"}
+    for status in problems:
+        answers[int(status)] = _describe_problem(_SUMMARIES[status], (examples or {}).get(status))
+    answers[421] = _describe_problem("The service is called by a name that is not its own", None)
+    return answers
+
+
+def _describe_problem(summary: str, example: object) -> dict[str, Any]:
+    content: dict[str, Any] = {"schema": {"$ref": f"#/components/schemas/{Problem.__name__}"}}
+    if example is not None:
+        content["example"] = example
+    return {"description": summary, "content": {PROBLEM_TYPE: content}}

@@ -1,0 +1,94 @@
+// One press stops every biobot at every gateway. No question is asked before, and it may be pressed again at any time.
+
+import { describe, post } from "./net.js";
+
+const LOOK_MS = 400;
+const LONGEST_S = 60;
+const MAX_SHOWN = 30;
+
+export class EmergencyStop {
+  constructor({ button, panel, title, lines, close, operator }) {
+    Object.assign(this, { panel, title, lines, operator });
+    this.newest = null;
+    button.addEventListener("click", () => this.press());
+    close.addEventListener("click", () => {
+      this.newest = null;
+      panel.hidden = true;
+      button.focus();
+    });
+  }
+
+  async press() {
+    const id = crypto.randomUUID();
+    this.newest = id;
+    this.panel.hidden = false;
+    const at = new Date().toLocaleTimeString();
+    this.show(`Stop of all, ${at}: sent …`, null, []);
+    const begun = performance.now();
+    const operator = this.operator.value.trim();
+    let given;
+    try {
+      given = await post("/api/v1/stop", { id, ...(operator ? { operator } : {}) });
+    } catch {
+      if (this.newest === id) this.show(`Stop of all, ${at}: the mapper does not answer. Use \`biobot-gateway stop --all\`.`, false, []);
+      return;
+    }
+    const complaint = given.isFine ? null : given.answer.detail;
+    while (this.newest === id) {
+      const state = await this.look(id).catch(() => null);
+      if (this.newest !== id) return;
+      if (state === null) {
+        this.show(`Stop of all, ${at}: ${complaint ?? "sent, but the mapper does not answer now"}`, false, []);
+      } else {
+        const seconds = ((performance.now() - begun) / 1000).toFixed(1);
+        const silent = state.answers.filter((answer) => answer.stage === null);
+        const isOver = state.outcome !== null && !silent.length;
+        const words = !state.answers.length ? complaint : silent.length ? `no answer from ${silent.map((answer) => answer.gateway).join(", ")}`
+          : isOver ? describe(state).isFine ? "confirmed" : "not confirmed by all" : "under way";
+        this.show(`Stop of all, ${at}: ${words} (${seconds} s)`, isOver ? describe(state).isFine : silent.length || complaint ? false : null, state.lines);
+        if (isOver || performance.now() - begun > LONGEST_S * 1000) return;
+      }
+      await new Promise((resolve) => setTimeout(resolve, LOOK_MS));
+    }
+  }
+
+  /** How the stop stands: its answers, and a line for each gateway and for the biobots. */
+  async look(id) {
+    const [command, parts] = await Promise.all([`/${id}`, `?part_of=${id}&limit=1000`].map(async (path) => {
+      const response = await fetch(`/api/v1/commands${path}`, { cache: "no-store" });
+      if (!response.ok) throw new Error(`${path}: ${response.status}`);
+      return response.json();
+    }));
+    const lines = command.answers.map((answer) => ({ isFine: describe(answer).isFine, text: `${answer.gateway}: ${words(answer)}` }));
+    const confirmed = parts.commands.filter((part) => part.outcome === "biobot_confirmed").map((part) => part.biobot);
+    const others = parts.commands.filter((part) => part.outcome !== "biobot_confirmed").map((part) => part.biobot);
+    if (confirmed.length) lines.push({ isFine: true, text: `confirmed by ${list(confirmed)}` });
+    if (others.length) lines.push({ isFine: command.outcome === null ? null : false, text: `not by ${list(others)}` });
+    return { ...command, lines };
+  }
+
+  show(text, isFine, lines) {
+    if (this.title.textContent !== text) this.title.textContent = text;
+    this.panel.className = `stop-panel ${tone(isFine)}`;
+    this.lines.replaceChildren(...lines.map((line) => {
+      const item = document.createElement("li");
+      item.className = tone(line.isFine);
+      item.textContent = line.text;
+      return item;
+    }));
+  }
+}
+
+function words(answer) {
+  const told = describe(answer).text;
+  return answer.outcome === "biobot_confirmed" && !answer.reason ? "confirmed by all that can be reached" : told;
+}
+
+function tone(isFine) {
+  return isFine === null ? "" : isFine ? "good" : "bad";
+}
+
+function list(ids) {
+  const shown = [...ids].sort((a, b) => a - b).slice(0, MAX_SHOWN).join(", ");
+  return ids.length === 1 ? `biobot ${shown}` : `${ids.length} biobots: ${shown}${ids.length > MAX_SHOWN ? ", …" : ""}`;
+}

@@ -1,0 +1,134 @@
+"""Laws of the stop of everybody."""
+
+import asyncio
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.contract.commands import CommandStage, Refusal, Stage, StimulationAction
+from firmware_protocol.messages import Action
+from firmware_protocol.units import EVERYBODY, NodeId
+from gateway.journal_file import JournalWrite
+from gateway.radio import Fate
+from gateway.stimulation.stop_all import _part_of
+from tests.gateway.fake_air import Site, a_command, a_site
+from tests.gateway.fake_radio import until
+
+_ALL = StimulationAction.STOP_ALL
+
+
+async def _heard(site: Site, *, command_id: str = "all") -> tuple[list[CommandStage], list[CommandStage]]:
+    """Stop everybody; return the stages of the whole, and those of its parts."""
+    parts: list[CommandStage] = []
+    site.gate.listen(lambda _request, stage: parts.append(stage) if stage.part_of else None)
+    return await site.stages(EVERYBODY, _ALL, command_id=command_id), parts
+
+
+def test_everybody_is_told_at_once_and_then_each_those_under_control_first(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", *range(1, 21), controlled=lambda: (NodeId(17), NodeId(4))) as site:
+            site.air.n_radios = 2
+            stages, parts = await _heard(site)
+            assert [stage.stage for stage in stages] == [Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED]
+            assert "all 20 biobots" in stages[-1].reason
+            frames = site.air.frames
+            assert [frame.node for frame in frames[:5]] == [None, None, 17, 4, 1]
+            assert len({frame.message.command for frame in frames}) == 1, "one number: who heard several obeys once"
+            assert all(frame.is_urgent and frame.message.action is Action.STOP for frame in frames)
+            assert all(frame.message.duration_ms == 0 for frame in frames), "no train"
+            assert {stage.node for stage in parts if stage.stage is Stage.BIOBOT_CONFIRMED} == set(range(1, 21))
+            assert {stage.part_of for stage in parts} == {"all"}
+            again = await site.stages(EVERYBODY, _ALL, command_id="all")
+            assert again == stages, "a repeated id is answered, not obeyed"
+
+    asyncio.run(story())
+
+
+def test_a_biobot_that_answers_the_broadcast_is_not_sent_to_again(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", *range(1, 21)) as site:
+            site.air.answers = lambda _node, _n: False
+            stopping = asyncio.ensure_future(_heard(site))
+            await until(lambda: bool(site.air.frames), what="the broadcast")
+            for node in range(1, 21):
+                site.air.reply(node, site.air.frames[0].message)
+            stages, parts = await stopping
+            assert stages[-1].stage is Stage.BIOBOT_CONFIRMED
+            assert sum(stage.is_final for stage in parts) == 20
+            assert len(site.air.sent_to(20)) <= 1
+
+    asyncio.run(story())
+
+
+def test_who_does_not_confirm_is_named(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", *range(1, 21)) as site:
+            site.air.answers = lambda node, _n: node > 12
+            stages, parts = await _heard(site)
+            assert stages[-1].stage is Stage.UNKNOWN
+            assert "12 of 20 biobots within reach did not confirm: 1, 2, 3, 4, 5, 6, 7, 8, 9, 10 and 2 more" in stages[-1].reason
+            assert sum(stage.stage is Stage.UNKNOWN for stage in parts) == 12
+            assert len(site.air.sent_to(1)) == 3, "again and again"
+            assert len([frame for frame in site.air.frames if frame.node is None]) == 3
+            ends = [stage.node for stage in parts if stage.is_final]
+            assert len(ends) == len(set(ends)) == 20, "each has one end"
+
+    asyncio.run(story())
+
+
+def test_without_a_biobot_the_broadcast_is_all_and_without_a_radio_it_fails(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j") as site:
+            stages, _ = await _heard(site)
+            assert stages[-1].stage is Stage.BIOBOT_CONFIRMED
+            site.air.fate = Fate.UNKNOWN
+            assert (await site.stages(EVERYBODY, _ALL))[-1].stage is Stage.UNKNOWN
+            site.air.is_down = True
+            failed = (await site.stages(EVERYBODY, _ALL))[-1]
+            assert failed.stage is Stage.FAILED
+            assert "no radio is up" in failed.reason
+        async with a_site(tmp_path / "k", 1, 2) as site:
+            site.air.is_down = True
+            stages, parts = await _heard(site)
+            assert stages[-1].stage is Stage.FAILED
+            assert "not connected" in stages[-1].reason
+            assert [stage.stage for stage in parts if stage.is_final] == [Stage.FAILED] * 2
+
+    asyncio.run(story())
+
+
+def test_it_keeps_all_that_waits_from_being_sent(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", 1, 2, 3) as site:
+            waiting = [asyncio.ensure_future(site.stages(node, StimulationAction.START)) for node in (1, 2, 3)]
+            await asyncio.sleep(0)
+            stages, _ = await _heard(site)
+            assert stages[-1].stage is Stage.BIOBOT_CONFIRMED
+            assert [(await one)[-1].refusal for one in waiting] == [Refusal.OVERTAKEN] * 3
+            assert {frame.message.action for frame in site.air.frames} == {Action.STOP}
+
+    asyncio.run(story())
+
+
+def test_it_works_on_a_full_disk(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", 1, 2) as site:
+            connection = site.journal._file._connection
+            (n_pages,) = connection.execute("PRAGMA page_count").fetchone()
+            connection.execute(f"PRAGMA max_page_count = {n_pages}")
+            site.journal.append(JournalWrite(node=(NodeId(9), bytes(1 << 20))))
+            await until(lambda: site.journal.fault is not None, what="the disk is full")
+            stages, _ = await _heard(site)
+            assert stages[-1].stage is Stage.BIOBOT_CONFIRMED
+            connection.execute("PRAGMA max_page_count = 1000000")
+
+    asyncio.run(story())
+
+
+@given(st.text("abcXYZ019._-", min_size=1, max_size=64), st.integers(0, 0xFFFE))
+def test_the_parts_have_ids_of_their_own_that_are_fit_to_be_ids(command_id: str, node: int) -> None:
+    part = _part_of(a_command(EVERYBODY, _ALL, command_id=command_id), NodeId(node))
+    assert 1 <= len(part.command_id) <= 64
+    assert part.command_id != command_id
+    assert part.command_id.endswith(f".{node}")

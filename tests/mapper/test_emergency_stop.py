@@ -1,0 +1,154 @@
+"""The emergency stop: it reaches every gateway, whatever else is full, busy or away, and says who told nothing."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from http import HTTPStatus
+
+import httpx
+
+from firmware_protocol.contract.commands import Refusal, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.units import EVERYBODY
+from tests.mapper.fake_gateway import FakeGateway, free_port
+from tests.mapper.mapper_side import DEADLINE_S, Side, mapper_side, until
+from tests.mapper.web_side import check_against, client_of, meet, openapi_of, run_story
+
+STOP = "/api/v1/stop"
+
+
+def test_a_stop_of_all_reaches_every_gateway_and_answers_with_what_each_says() -> None:
+    async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
+        gateways[1].answer = lambda _request: (Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.UNKNOWN)
+        answer = await client.post(STOP, json={"wait_s": DEADLINE_S, "operator": "anna", "id": "one"})
+        assert answer.status_code == HTTPStatus.OK
+        check_against(openapi_of(side), STOP, answer, method="post")
+        assert [(one["gateway"], one["biobot"], one["outcome"]) for one in answer.json()["answers"]] == [
+            ("gateway1", None, "biobot_confirmed"),
+            ("gateway2", None, "unknown"),
+        ]
+        for gateway in gateways:
+            (request,) = gateway.commands
+            assert (request.command_id, request.node, request.action) == ("one", EVERYBODY, StimulationAction.STOP_ALL)
+            assert request.operator == "anna"
+        assert (await client.get("/api/v1/commands/one")).json()["outcome"] == "unknown"
+        bare = await client.post(STOP, params={}, content=b"")
+        assert bare.status_code in {HTTPStatus.OK, HTTPStatus.ACCEPTED}
+        assert (gateways[0].commands[1].operator, gateways[0].commands[1].action) == ("unnamed", StimulationAction.STOP_ALL)
+        clash = await client.post(STOP, json={"id": "one", "biobots": [5]})
+        assert clash.status_code == HTTPStatus.CONFLICT
+
+    run_story(story, n_gateways=2)
+
+
+def test_a_gateway_that_tells_nothing_is_named_and_asked_again_under_the_same_id() -> None:
+    async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
+        is_free = threading.Event()
+
+        def hang(_request: StimulationRequest) -> Iterator[Stage]:
+            is_free.wait(DEADLINE_S)
+            yield Stage.BIOBOT_CONFIRMED
+
+        gateways[1].answer = hang
+        try:
+            answer = await client.post(STOP, json={"id": "one"})
+            assert answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE
+            check_against(openapi_of(side), STOP, answer, method="post")
+            told = answer.json()
+            assert told["unanswered"] == ["gateway2"]
+            assert "'gateway2'" in told["detail"]
+            assert told["answers"][0]["outcome"] == "biobot_confirmed"
+            await until(lambda: len(gateways[1].commands) > 1)
+        finally:
+            is_free.set()
+        again = await client.post(STOP, json={"id": "one", "wait_s": DEADLINE_S})
+        assert (again.status_code, again.json()["has_ended"]) == (HTTPStatus.OK, True)
+        assert {request.command_id for gateway in gateways for request in gateway.commands} == {"one"}
+
+    run_story(story, n_gateways=2)
+
+
+def test_nothing_that_is_full_or_busy_holds_a_stop_back() -> None:
+    """256 commands under way, the store's thread and every thread of the default pool busy."""
+
+    async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
+        (gateway,) = gateways
+        await meet(side, gateway, 5)
+        is_free = threading.Event()
+
+        def hang_unless_stop(request: StimulationRequest) -> Iterator[Stage]:
+            yield Stage.ACCEPTED
+            if request.action is StimulationAction.START:
+                is_free.wait(DEADLINE_S)
+            yield Stage.BIOBOT_CONFIRMED
+
+        gateway.answer = hang_unless_stop
+        start = {"biobot": 5, "action": "start", "operator": "anna", "wait_s": 0}
+        try:
+            for _ in range(256):
+                assert (await client.post("/api/v1/commands", json=start)).status_code == HTTPStatus.ACCEPTED
+            assert (await client.post("/api/v1/commands", json=start)).status_code == HTTPStatus.TOO_MANY_REQUESTS
+            loop = asyncio.get_running_loop()
+            busy = [loop.run_in_executor(None, is_free.wait, DEADLINE_S) for _ in range(64)]
+            reading = asyncio.ensure_future(side.records.call(lambda _store: is_free.wait(DEADLINE_S)))
+            everybody = await client.post(STOP, json={"wait_s": DEADLINE_S})
+            one = await client.post(STOP, json={"wait_s": DEADLINE_S, "biobots": [5, "5"]})
+            command = await client.post("/api/v1/commands", json={"biobot": 5, "action": "stop", "operator": "anna"})
+            assert not is_free.is_set()
+            for answer in (everybody, one):
+                assert answer.status_code == HTTPStatus.OK
+                assert [told["outcome"] for told in answer.json()["answers"]] == ["biobot_confirmed"]
+            assert command.json()["outcome"] == "biobot_confirmed"
+        finally:
+            is_free.set()
+        await asyncio.gather(*busy, reading)
+
+    run_story(story)
+
+
+def test_a_stop_of_a_biobot_that_nobody_here_knows_goes_to_all_gateways() -> None:
+    async def story(_side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
+        gateways[0].answer = lambda _request: (Stage.REFUSED,)
+        gateways[0].refusal = Refusal.UNKNOWN_BIOBOT
+        stop = {"biobot": 9, "action": "stop", "operator": "anna", "id": "nine"}
+        answer = await client.post("/api/v1/commands", json=stop)
+        assert (answer.status_code, answer.json()["outcome"]) == (HTTPStatus.OK, "biobot_confirmed")
+        assert [len(gateway.commands) for gateway in gateways] == [1, 1]
+        gateways[1].answer, gateways[1].refusal = gateways[0].answer, Refusal.UNKNOWN_BIOBOT
+        unknown = await client.post("/api/v1/commands", json={**stop, "id": "ten"})
+        assert unknown.status_code == HTTPStatus.NOT_FOUND
+
+    run_story(story, n_gateways=2)
+
+
+def test_a_gateway_that_comes_back_is_stopped_all_the_same() -> None:
+    async def story() -> None:
+        port = free_port()
+        async with mapper_side(port) as side, client_of(side) as client:
+            answer = await client.post(STOP, json={"id": "one"})
+            assert answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE
+            assert answer.json()["unanswered"] == []
+            assert "no gateway is on the bus" in answer.json()["detail"]
+            with FakeGateway(port=port) as gateway:
+                await until(lambda: bool(gateway.commands))
+                told = await client.get("/api/v1/commands/one", params={"wait_s": DEADLINE_S})
+                assert told.json()["outcome"] in {"biobot_confirmed", "undelivered"}
+                await until(lambda: side.desk.log.get("one").is_answered)
+            assert side.desk.log.get("one").answers["gateway1"].outcome == "biobot_confirmed"
+
+    asyncio.run(story())
+
+
+def test_a_stop_that_makes_no_sense_is_not_given() -> None:
+    async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
+        document = openapi_of(side)
+        bad: list[object] = [[], 5, "all", {"biobots": []}, {"biobots": [-1]}, {"biobots": list(range(257))}, {"operator": ""}]
+        bad += [{"id": "a/b"}, {"id": "a" * 41}, {"wait_s": -1}, {"wait_s": 61}, {"biobot": 5}]
+        for body in bad:
+            answer = await client.post(STOP, json=body)
+            assert answer.status_code == HTTPStatus.UNPROCESSABLE_ENTITY, body
+            check_against(document, STOP, answer, method="post")
+        foreign = await client.post(STOP, headers={"Origin": "http://evil.example"})
+        assert foreign.status_code == HTTPStatus.FORBIDDEN
+        assert gateways[0].commands == []
+
+    run_story(story)
