@@ -224,7 +224,7 @@ class RetentionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     max_mb
         The journal holds no more than this [MB]: the oldest go, those that a mapper lacks too, which is told. Not given: all the disk.
     audit_days
-        Stages of commands are kept so long.
+        Rows of the audit log are kept so long (docs/audit.md).
     node_days
         What is known of a biobot is kept so long after it was last heard.
     mapper_days

@@ -194,10 +194,6 @@ class JournalReader:
         rows = self._connection.execute(f"SELECT {COLUMNS}, chain FROM audit {where}", (limit,))  # noqa: S608  # constants of this package
         return map(entry_of, rows)
 
-    def read_last_stages(self, *, limit: int) -> list[AuditEntry]:
-        """Return the newest stages of commands, in order."""
-        return self._audit("WHERE command_id <> '' ORDER BY id DESC LIMIT ?", (limit,))[::-1]
-
     def read_audit_trains(self, *, since_ran_ns: int) -> list[AuditEntry]:
         """Return the entries with trains that came to lie on disk after gateways had run so long on the journal, in order.
 
