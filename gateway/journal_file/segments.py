@@ -3,11 +3,12 @@
 All that can be wrong with a write is found when it is added: a segment that was gathered can be stored.
 """
 
+# ruff: noqa: PLR1730  # calls of min and max for each record cost as much as encoding a third of it
+
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-# ruff: noqa: PLR1730  # calls of min and max for each record cost as much as encoding a third of it
 import msgspec
 from msgspec.structs import force_setattr
 
@@ -140,22 +141,6 @@ class SegmentBuilder:
 
         states = [(offset, kind, *place(body)) for offset, kind, body in self._states]
         nodes = [(node, *place(body)) for node, body in self._nodes.items()]
-<<<<<<< HEAD
-        audits = [
-            (
-                one.wall_ns,
-                one.command_id,
-                one.wire_command,
-                one.stage,
-                min(one.node, _MAX_INTEGER),  # a command may name a larger one, and its request says which
-                one.train_ms,
-                *place(one.request),
-                *place(one.body),
-            )
-            for one in self._audits
-        ]
-        contents = _store(pack_records(self.bodies) if self.bodies else b"", pack_pairs(self._pairs), b"".join(self._reports))
-=======
         audits = []
         for number, entry in enumerate(self._audits, start=audit_head.n_rows + 1):
             row = row_of(entry, number=number, ran_ns=ran_ns, boot=boot)
@@ -164,8 +149,7 @@ class SegmentBuilder:
             placed = map(place, (*texts, entry.request, entry.body, audit_head.chain))
             cells = (number, entry.wall_ns, ran_ns, boot, entry.mono_ns, storable_node(entry), entry.wire_command, entry.train_ms)
             audits.append((*cells, *itertools.chain.from_iterable(placed)))
-        contents = _store(self.bodies, pack_pairs(self._pairs), b"".join(self._reports))
->>>>>>> main
+        contents = _store(pack_records(self.bodies) if self.bodies else b"", pack_pairs(self._pairs), b"".join(self._reports))
         has_encounters = self._max_end >= self._min_start
         return SealedSegment(
             segment=segment,
