@@ -1,5 +1,6 @@
 """Histories of the gate as Hypothesis draws and shrinks them: a rule for everything that can happen to it."""
 
+import dataclasses
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
-from firmware_protocol.contract.commands import PulseRequest, StimulationAction
+from firmware_protocol.contract.commands import StimulationAction
 from studies.gate_histories import sites
 from studies.gate_histories.disk import MemoryRows, StoredRows
 from studies.gate_histories.laws import violations
@@ -17,9 +18,12 @@ from studies.gate_histories.world import Order, Site, World
 _STORED = range(40, 43)
 """Of 0 to 99: the histories that have their journal in a file; Hypothesis likes the ends of a range."""
 
+_NOBODY = 77
 _radios = st.integers(0, 2)
 _numbers = st.integers(0, 2)
-_moves = st.sampled_from(sites.MOVES)
+_moves = st.integers(0, sites.N_MOVES - 1).map(sites.move)  # one draw for all of it: Hypothesis' draws are half of the work
+_orders = st.integers(0, sites.N_ORDERS - 1).map(sites.order)
+_series = st.integers(0, sites.N_SERIES - 1).map(sites.series)
 _fates = st.lists(st.integers(0, sites.N_FATES - 1), min_size=1, max_size=3)
 
 
@@ -43,11 +47,11 @@ class GateHistory(RuleBasedStateMachine):
         for node in self._world.biobots if announced else ():
             self._world.hear(node, announces=True)
 
-    @rule(number=_numbers, action=_moves, wait=st.sampled_from(sites.WAITS_MS))
-    def move(self, *, number: int, action: StimulationAction, wait: int) -> None:
+    @rule(move=_moves)
+    def move(self, *, move: sites.Move) -> None:
         """Move a biobot."""
-        self.world.order(Order(action=action, node=self._node(number)))
-        self.world.wait(wait)
+        self.world.order(Order(action=move.action, node=self._node(move.number)))
+        self.world.wait(move.wait_ms)
 
     @rule(number=_numbers, wait=st.sampled_from(sites.WAITS_MS), hold_ms=st.sampled_from(sites.HOLDS_MS))
     def stop(self, *, number: int, wait: int, hold_ms: int) -> None:
@@ -61,30 +65,25 @@ class GateHistory(RuleBasedStateMachine):
         self.world.order(Order(action=StimulationAction.STOP_ALL, node=0))
         self.world.wait(wait)
 
-    @rule(
-        number=st.integers(0, 3),
-        action=st.sampled_from(sites.ACTIONS),
-        ttl_ms=st.sampled_from(sites.TTLS_MS),
-        late_ms=st.sampled_from(sites.LATE_MS),
-        hold_ms=st.sampled_from(sites.HOLDS_MS),
-        commander=st.sampled_from(sites.COMMANDERS),
-        pulse=st.sampled_from(sites.PULSES),
-    )
-    def order(
-        self, *, number: int, action: StimulationAction, ttl_ms: int, late_ms: int, hold_ms: int, commander: str, pulse: PulseRequest | None
-    ) -> None:
-        """Give a command with everything to it; number 3 is nobody's."""
-        node = 77 if number == 3 else self._node(number)
-        order = Order(action=action, node=node, ttl_ms=ttl_ms, late_ms=late_ms, hold_ms=hold_ms, commander=commander, pulse=pulse)
-        self.world.order(order)
+    @rule(order=_orders)
+    def order(self, *, order: Order) -> None:
+        """Give a command with everything to it; number 4 is nobody's."""
+        self.world.order(dataclasses.replace(order, node=_NOBODY if order.node > 3 else self._node(order.node - 1)))
 
-    @rule(number=_numbers, n=st.integers(1, 12), gap_ms=st.sampled_from(sites.GAPS_MS), stop_after=st.integers(0, 6))
-    def hammer(self, *, number: int, n: int, gap_ms: int, stop_after: int) -> None:
+    @rule(series=_series)
+    def hammer(self, *, series: sites.Series) -> None:
         """Move a biobot again and again, with a stop between; it is refused when it has had enough."""
-        for at in range(n):
-            action = StimulationAction.STOP if stop_after and at % 6 == stop_after - 1 else StimulationAction.TURN_LEFT
-            self.world.order(Order(action=action, node=self._node(number)))
-            self.world.wait(gap_ms)
+        for at in range(series.n):
+            is_stop = series.stop_at and at % 6 == series.stop_at - 1
+            action = StimulationAction.STOP if is_stop else StimulationAction.TURN_LEFT
+            self.world.order(Order(action=action, node=self._node(series.number)))
+            self.world.wait(series.gap_ms)
+
+    @rule(wait=st.sampled_from(sites.WAITS_MS))
+    def recover(self, *, wait: int) -> None:
+        """Let all that fails work again, and everybody be heard."""
+        self.world.recover()
+        self.world.wait(wait)
 
     @rule(back=st.integers(0, 5), action=st.sampled_from((None, None, None, *sites.ACTIONS)))
     def repeat(self, *, back: int, action: StimulationAction | None) -> None:

@@ -1,14 +1,17 @@
 """What the histories' sites, orders and frames are drawn from; in each list the plainest comes first, to which a history shrinks."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 from firmware_protocol.contract.commands import PulseRequest, StimulationAction, WaveformName
 from firmware_protocol.messages import Limits, Waveform
 from gateway.config import StimulationTable
 from gateway.radio import Fate
 from studies.gate_histories.air import FrameFate
-from studies.gate_histories.world import Site
+from studies.gate_histories.world import Order, Site
 
 TABLES = (
     StimulationTable(flight_s=1.0),
@@ -84,23 +87,79 @@ DOWNS_MS = (100, 0, 1, 1_000, 5_000, 30_000, 90_000)
 COMMITS_MS = (2, 0, 20, 400, 900, 1_500)
 GAPS_MS = (2_600, 2_000, 2_501, 3_100, 700, 10)
 
-_FATES: Sequence[Sequence[object]] = (
-    (1, 0, 30, 200, 900, 4_000),
-    (0.001, 0.0, 0.2, 0.5, 0.9, 1.0),
-    (1, 0, 2),
-    (Fate.SENT, Fate.NO_ACK, Fate.UNKNOWN, Fate.NOT_SENT),
-    (10, 0, 500, 3_000),
-    (10, 0, 300, 2_000, 20_000),
-    (0, 1, 2, 5),
-)
-N_FATES = 6 * 6 * 3 * 4 * 4 * 5 * 4
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Move:
+    """A start or a turn as most are, and a wait after it."""
+
+    number: int
+    action: StimulationAction
+    wait_ms: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Series:
+    """Turns one after the other; where ``stop_at`` is not 0, that one of each six is a stop."""
+
+    number: int
+    n: int
+    gap_ms: int
+    stop_at: int
+
+
+_MOVES = {"number": (0, 1, 2), "action": MOVES, "wait_ms": WAITS_MS}
+_SERIES = {"number": (0, 1, 2), "n": tuple(range(1, 13)), "gap_ms": GAPS_MS, "stop_at": tuple(range(7))}
+_ORDERS = {
+    "node": (1, 2, 3, 4),
+    "action": ACTIONS,
+    "ttl_ms": TTLS_MS,
+    "late_ms": LATE_MS,
+    "hold_ms": HOLDS_MS,
+    "commander": COMMANDERS,
+    "pulse": PULSES,
+}
+_FATES = {
+    "queued_ms": (1, 0, 30, 200, 900, 4_000),
+    "flight": (0.001, 0.0, 0.2, 0.5, 0.9, 1.0),
+    "n_copies": (1, 0, 2),
+    "confirm": (Fate.SENT, Fate.NO_ACK, Fate.UNKNOWN, Fate.NOT_SENT),
+    "confirm_ms": (10, 0, 500, 3_000),
+    "answer_ms": (10, 0, 300, 2_000, 20_000),
+    "n_lost_answers": (0, 1, 2, 5),
+}
+
+
+def _n_of(fields: Mapping[str, Sequence[object]]) -> int:
+    return math.prod(len(values) for values in fields.values())
+
+
+def _pick(fields: Mapping[str, Sequence[object]], number: int) -> dict[str, Any]:
+    """Return one of all combinations of values; number 0 has the first of each."""
+    picked = {}
+    for name, values in fields.items():
+        number, at = divmod(number, len(values))
+        picked[name] = values[at]
+    return picked
+
+
+N_MOVES, N_SERIES, N_ORDERS, N_FATES = _n_of(_MOVES), _n_of(_SERIES), _n_of(_ORDERS), _n_of(_FATES)
+
+
+def move(number: int) -> Move:
+    """Return a move of a number below ``N_MOVES``."""
+    return Move(**_pick(_MOVES, number))
+
+
+def series(number: int) -> Series:
+    """Return a series of a number below ``N_SERIES``."""
+    return Series(**_pick(_SERIES, number))
+
+
+def order(number: int) -> Order:
+    """Return an order of a number below ``N_ORDERS``; its node is 4 where it is nobody's."""
+    return Order(**_pick(_ORDERS, number))
 
 
 def fate(number: int) -> FrameFate:
     """Return the fate of a number below ``N_FATES``; 0 is a good radio's."""
-    fields: list[object] = []
-    for values in _FATES:
-        number, at = divmod(number, len(values))
-        fields.append(values[at])
-    names = ("queued_ms", "flight", "n_copies", "confirm", "confirm_ms", "answer_ms", "n_lost_answers")
-    return FrameFate(**dict(zip(names, fields, strict=True)))  # type: ignore[arg-type]
+    return FrameFate(**_pick(_FATES, number))

@@ -17,7 +17,7 @@ from gateway.health import Health
 from gateway.journal_file import AuditEntry, JournalWrite
 from gateway.nodes import Node, NodeBook, NodeMemory
 from gateway.stimulation import StimulationGate
-from studies.gate_histories.air import Air, FrameFate, Radio, Sender
+from studies.gate_histories.air import GOOD, Air, FrameFate, Radio, Sender
 from studies.gate_histories.calls import CURRENT_CALL, Call, Given, Life
 from studies.gate_histories.disk import Disk, LiveJournal, Rows
 from studies.gate_histories.electrode import Answer, Biobot
@@ -211,6 +211,14 @@ class World:
             self.announced.append(
                 Announcement(heard_ns=self.time.now_ns, node=known.node, limits=limits, life=self._running.life, on_disk=on_disk)
             )
+
+    def recover(self) -> None:
+        """Let disk and radios work, and all biobots be heard and announce their limits."""
+        self.set_disk(is_full=False)
+        for radio in self.air.radios.values():
+            radio.is_up, radio.fates = True, (GOOD,)
+        for node in self.biobots:
+            self.hear(node, announces=True)
 
     def close(self) -> None:
         """Let all that fails work again, until each command has had its last answer; then end."""
