@@ -93,7 +93,7 @@ def test_a_chip_without_room_is_left_in_peace_for_a_while() -> None:
     assert len(times) == 18
     bench.answer()
     bench.run(50)
-    assert settled(bench) == dict.fromkeys(tickets[:16], RadioStatus.SENT) | dict.fromkeys(tickets[16:], RadioStatus.QUEUE_FULL)
+    assert settled(bench) == dict.fromkeys(tickets[:16], RadioStatus.SENT) | dict.fromkeys(tickets[16:], RadioStatus.OTHER)
 
 
 def test_a_transaction_number_in_use_is_given_to_no_other_payload() -> None:
