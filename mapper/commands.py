@@ -68,6 +68,7 @@ class CommandDesk:
         self._n_under_way = 0
         self._is_closing = False
         self._insisting: set[str] = set()
+        self._held_back: dict[object, NodeId] = {}
         log.listen(commander.motion.heed)
 
     async def run(self) -> None:
@@ -101,17 +102,7 @@ class CommandDesk:
         if self._n_under_way >= _MAX_AT_ONCE:
             raise TooManyError(what="commands are under way", limit=_MAX_AT_ONCE)
         issued_wall_ns = self._wall_ns()
-        commander = ""
-        if wish.hold_ms:
-            commander = self._commander.name
-            is_there = await self._commander.wait_until_there(timeout_s=min(wish.ttl_ms / 1000, _TOKEN_WAIT_S))
-            if self._is_closing or not is_there:
-                reason = "this mapper is about to end" if self._is_closing else "this mapper has not joined the bus under its name yet"
-                raise CommandRefusedError(
-                    command_id=wish.command_id or "",
-                    reason=f"{reason}, and a hold needs a commander that is there; try again, or give it without hold_ms",
-                    refusal=Refusal.STOPPING if self._is_closing else Refusal.NO_COMMANDER,
-                )
+        commander = await self._commander_for(wish) if wish.hold_ms else ""
         known = self._known(wish)  # a second one of the same id may have waited for the same
         if known is not None:
             return known
@@ -135,7 +126,10 @@ class CommandDesk:
         if known is not None:
             return known
         is_for_all = wish.action is StimulationAction.STOP_ALL
+        self._held_back = {token: node for token, node in self._held_back.items() if not is_for_all and node != wish.node}
         gateway = None if is_for_all else self._fleet.gateway_of(wish.node)
+        if gateway is not None and not self._fleet.is_on_bus(gateway):
+            gateway = None  # another may reach the biobot
         request = self._request(wish, commander="", issued_wall_ns=self._wall_ns())
         timeout_s = _PATIENCE_FOR_ALL_S if is_for_all else request.ttl_ms / 1000 + _PATIENCE_S
         stages = self._ask(request, gateway=gateway, timeout_s=timeout_s)
@@ -163,6 +157,26 @@ class CommandDesk:
             await self.log.wait(lambda: all(map(has_ended, stops)), timeout_s=_LAST_STOPS_S)
             outcomes = [str(stop.outcome or "unknown") for stop in stops]
             _log.info("commander.released", biobots=len(nodes), confirmed=outcomes.count(str(Outcome.BIOBOT_CONFIRMED)))
+
+    async def _commander_for(self, wish: Wish) -> str:
+        """Return who is the commander of controlled motion, once gateways can see it."""
+        token = object()
+        self._held_back[token] = wish.node
+        try:
+            is_there = await self._commander.wait_until_there(timeout_s=min(wish.ttl_ms / 1000, _TOKEN_WAIT_S))
+            refusal, reason = None, ""
+            if token not in self._held_back:
+                refusal, reason = Refusal.OVERTAKEN, "a stop of this biobot came before it was sent; give it anew if it is still wanted"
+            elif self._is_closing:
+                refusal, reason = Refusal.STOPPING, "this mapper is about to end; start it again first"
+            elif not is_there:
+                refusal = Refusal.NO_COMMANDER
+                reason = "a hold needs a commander, and this mapper has not joined the bus under its name yet; try again in a few seconds"
+        finally:
+            self._held_back.pop(token, None)
+        if refusal is not None:
+            raise CommandRefusedError(command_id=wish.command_id or "", reason=reason, refusal=refusal)
+        return self._commander.name
 
     def _let_go_of_stops(self, node: NodeId) -> None:
         """Repeat no stop of a biobot that is told something else now; one of all is repeated all the same."""
