@@ -110,6 +110,7 @@ class CommandDesk:
         command = self.log.add(request, gateway=gateway, asked=[gateway])
         self._let_go_of_stops(wish.node)
         self._commander.motion.begin(request, now_ns=time.monotonic_ns())
+        self._n_under_way += 1
         timeout_s = request.ttl_ms / 1000 + _PATIENCE_S
         self._start(self._follow(command, self._ask(request, gateway=gateway, timeout_s=timeout_s)), command)
         return command
@@ -218,7 +219,6 @@ class CommandDesk:
 
     async def _follow(self, command: Command, stages: _Stages) -> None:
         """Take in what the gateway tells until it is final."""
-        self._n_under_way += 1
         try:
             fault = await self._take_in(command, stages)
             for name in command.answers:
