@@ -87,6 +87,9 @@ campaign: venv  ## a whole site lives through 1,000 faults; is every one of 1,00
 cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the mapper's store complete again? (root; a minute; docs/zenoh.md)
 	$(PY) -m studies.cut_links $(ARGS)
 
+gate-histories: venv  ## 100,000 random histories of the stimulation gate: is a limit ever exceeded at an electrode? (docs/gate-histories.md; ARGS="--histories 1000")
+	$(PY) -m studies.gate_histories --out artifacts/gate-histories.jsonl $(ARGS)
+
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)
 

@@ -7,7 +7,24 @@ from collections.abc import Callable
 from importlib.metadata import version
 
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError, ProtocolError
-from gateway.commands import asking, certs, check_radio, config, configure, journal, lines, pcap, ports, router, run, status, steer, stop
+from gateway.commands import (
+    asking,
+    audit,
+    certs,
+    check_radio,
+    config,
+    configure,
+    journal,
+    lines,
+    mission,
+    pcap,
+    ports,
+    router,
+    run,
+    status,
+    steer,
+    stop,
+)
 from gateway.commands.outcome import FAILED, USAGE, complain
 from gateway.errors import GatewayError, TransportSpecError
 
@@ -20,9 +37,11 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "probe": ("tell which dialect, firmware and network answers at a port", ports.add_probe_arguments, ports.probe),
     "check-radio": ("check a radio, capability by capability", check_radio.add_arguments, check_radio.check),
     "journal": ("check a journal, tell what is in it, or export it as CSV or Parquet", journal.add_arguments, journal.journal),
+    "audit": ("show who commanded what, and verify that the log of it is as it was written", audit.add_arguments, audit.audit),
     "command": ("command a biobot through a running gateway", asking.add_command_arguments, asking.command),
     "stop": ("stop biobots, or all, through every gateway of a site at once", stop.add_arguments, stop.stop),
     "steer": ("move a biobot by the arrow keys; it is stopped when you leave", steer.add_arguments, steer.steer),
+    "mission": ("start, pause, resume or end a gateway's mission, or show how it stands", mission.add_arguments, mission.mission),
     "status": (
         "how the gateways of a site stand, live on a terminal; exit status 1 where none is heard",
         status.add_arguments,

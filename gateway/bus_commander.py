@@ -22,8 +22,13 @@ from gateway.bus_client import find_gateway
 from gateway.bus_session import open_client
 from gateway.errors import CommandError
 
-BEAT_S: Final = 0.2
+BEAT_S: Final = 0.1
 """Pause between two beats; a gateway takes its commander for gone after ``stimulation.commander_silence_s``, 1.2 s by default."""
+
+_HEARD_S: Final = 0.5
+"""It is waited so long until somebody hears the beats: a first one that is lost leaves a gateway with the token alone."""
+
+_HEARD_POLL_S: Final = 0.005
 
 _MAX_WAITING: Final = 1024
 _TAKEN_CHECK_S: Final = 0.2
@@ -69,10 +74,18 @@ class CommanderSession:
         try:
             found = find_gateway(session, site=site, gateway=gateway, connect=connect)
             _check_free(session, site=site, name=name)
-            return cls(session, site=site, gateway=found, name=name)
+            opened = cls(session, site=site, gateway=found, name=name)
+            opened.wait_until_heard()
         except BaseException:
             session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
             raise
+        return opened
+
+    def wait_until_heard(self) -> None:
+        """Wait until somebody listens to the beats, or half a second: a gateway older than they are never does."""
+        deadline_s = time.monotonic() + _HEARD_S
+        while not self._beats.matching_status and time.monotonic() < deadline_s:
+            time.sleep(_HEARD_POLL_S)
 
     def watch(self, node: NodeId) -> None:
         """Hear how a biobot was stimulated, and whether the gateway goes."""

@@ -129,7 +129,7 @@ class CommandDesk:
         is_for_all = wish.action is StimulationAction.STOP_ALL
         self._held_back = {token: node for token, node in self._held_back.items() if not is_for_all and node != wish.node}
         gateway = None if is_for_all else self._fleet.gateway_of(wish.node)
-        if gateway is not None and not self._fleet.is_on_bus(gateway):
+        if gateway is not None and not self._is_there(gateway):
             gateway = None  # another may reach the biobot
         request = self._request(wish, commander="", issued_wall_ns=self._wall_ns())
         timeout_s = _PATIENCE_FOR_ALL_S if is_for_all else request.ttl_ms / 1000 + _PATIENCE_S
@@ -247,7 +247,7 @@ class CommandDesk:
         def judge(names: list[str]) -> None:
             command.is_unheard = not command.answers
             for name in names:
-                fault = faults.get(name, faults.get(None)) if self._fleet.is_on_bus(name) else None
+                fault = faults.get(name, faults.get(None)) if self._is_there(name) else None
                 self._settle(command, name, fault)
             self.log.tell()
 
@@ -283,7 +283,11 @@ class CommandDesk:
         if command.is_answered:
             return []
         late = [] if command.gateway is not None else [name for name in self._fleet.gateways_heard() if name not in command.answers]
-        return [name for name in [*(command.unfinished if is_idle else command.silent), *late] if self._fleet.is_on_bus(name)]
+        return [name for name in [*(command.unfinished if is_idle else command.silent), *late] if self._is_there(name)]
+
+    def _is_there(self, gateway: str) -> bool:
+        # A connection that is lost is known sooner than whose tokens were behind it.
+        return self._bus.is_connected and self._fleet.is_on_bus(gateway)
 
     async def _take_in(self, command: Command, stages: _Stages) -> QueryError | None:
         """Take in the answers of one question; return what was wrong with them, if anything."""
@@ -307,7 +311,7 @@ class CommandDesk:
             outcome, reason = Outcome.UNKNOWN, str(fault) if fault else "the gateway's answer broke off"
         elif fault is not None:
             outcome, reason = Outcome.UNKNOWN if fault.is_timeout else Outcome.FAILED, str(fault)
-        elif command.action in STOPS and self._fleet.is_on_bus(gateway):
+        elif command.action in STOPS and self._is_there(gateway):
             outcome, reason = Outcome.UNKNOWN, "the gateway is on the bus, but tells nothing"
         else:
             outcome, reason = Outcome.UNDELIVERED, "the gateway is not on the bus"

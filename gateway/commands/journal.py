@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     export.add_argument(
         "--kind", choices=kinds, default=Kind.ENCOUNTERS.value, help="(default: encounters); all: OUT.encounters.csv and so on, one each"
     )
-    export.add_argument("--from", dest="begin", type=_instant, metavar="T", help="what ends at or after T, such as 2026-11-26T09:00Z")
-    export.add_argument("--until", type=_instant, metavar="T", help="what begins before T")
+    export.add_argument("--from", dest="begin", type=instant, metavar="T", help="what ends at or after T, such as 2026-11-26T09:00Z")
+    export.add_argument("--until", type=instant, metavar="T", help="what begins before T")
     export.add_argument("--skip-damaged", action="store_true", help="export what is whole, and say what was left out")
     export.add_argument("--all-revisions", action="store_true", help="every revision of a record, void ones too, not the newest alone")
 
@@ -85,7 +85,7 @@ def _export(options: argparse.Namespace, tell: Callable[[str], None]) -> int:
     return DONE
 
 
-def _instant(text: str) -> int:
+def instant(text: str) -> int:
     """Return an instant [ns since 1970]; without a zone it is UTC."""
     try:
         moment = datetime.fromisoformat(text)

@@ -1,9 +1,10 @@
-"""Rows into a file: CSV, or Parquet where pyarrow is installed; whole, or not at all."""
+"""Rows into a file: CSV, lines of JSON, or Parquet where pyarrow is installed; whole, or not at all."""
 
 import contextlib
 import csv
 import importlib
 import itertools
+import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -29,6 +30,16 @@ def write_csv(path: Path, columns: Mapping[str, type], rows: Iterable[tuple[Valu
         writer.writerow(columns)
         for row in rows:
             writer.writerow([str(value).lower() if isinstance(value, bool) else value for value in row])
+            n_rows += 1
+    return n_rows
+
+
+def write_json_lines(path: Path, rows: Iterable[Mapping[str, object]]) -> int:
+    """Write one JSON object a line; return the number of rows. Raises as ``write_csv``."""
+    n_rows = 0
+    with _whole(path) as partial, partial.open("w", encoding="utf-8") as stream:
+        for row in rows:
+            stream.write(json.dumps(row) + "\n")
             n_rows += 1
     return n_rows
 

@@ -48,7 +48,7 @@ def read_head(connection: sqlite3.Connection) -> ChainHead:
 
 def read_genesis(connection: sqlite3.Connection) -> ChainHead:
     """Return the head that the first row ever followed."""
-    return genesis(read_meta(connection, GENESIS) or read_meta(connection, "journal") or "")
+    return genesis(read_meta(connection, GENESIS) or "")
 
 
 def append_entries(connection: sqlite3.Connection, entries: Iterable[AuditEntry], *, stamp: Stamp, keeps_stamps: bool = False) -> ChainHead:
