@@ -55,7 +55,6 @@ _UNSTORABLE = (OverflowError, TypeError, ValueError, struct.error)
 
 _MACHINE_BOOT = Path("/proc/sys/kernel/random/boot_id")
 _FIRST_RETRY_S, _MAX_RETRY_S = 0.1, 2.0
-
 _KEEP_ALL = Retention()
 _TIDY_PERIOD_S, _TIDY_AGAIN_S = 1.0, 0.02
 _TIDY_AFTER = 64
@@ -64,11 +63,8 @@ _TIDY_AFTER = 64
 _ALARM_PERIOD_S = 60.0
 """Records that a mapper lacks and that go are told of once in so long; they are counted all the while."""
 
-_MAX_TOLD_DAMAGE = 1024
-"""Damaged segments that are told of, once each."""
-
-_MAX_MAPPERS = 64
-"""Mappers whose progress is remembered."""
+_MAX_TOLD_DAMAGE, _MAX_MAPPERS = 1024, 64
+"""Damaged segments that are told of, once each; and mappers whose progress is remembered."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -133,6 +129,11 @@ class Journal:
     def boot(self) -> BootId:
         """Number of this start of the gateway, larger than every earlier one."""
         return self._file.identity.boot
+
+    @property
+    def ran_ns(self) -> int:
+        """How long gateways have run on this journal [ns]; after a process was killed, as far as was written down."""
+        return self._file.ran_ns()
 
     @property
     def head_offset(self) -> int:
@@ -240,9 +241,8 @@ class Journal:
     def barrier(self) -> asyncio.Future[None]:
         """Return a future that resolves when all that was appended so far is on disk, but for what can never be stored."""
         if self._last_group is None:
-            done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-            done.set_result(None)
-            return done
+            self._last_group = asyncio.get_running_loop().create_future()
+            self._last_group.set_result(None)
         return self._last_group
 
     async def run(self) -> None:

@@ -33,6 +33,7 @@ from gateway.intake import Intake, IntakeListeners
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
 from gateway.journal_file import Retention
+from gateway.line_pace import LinePace
 from gateway.log import EventLog, log_what_nobody_caught
 from gateway.mission import Mission
 from gateway.monitor.server import Monitor
@@ -43,7 +44,7 @@ from gateway.service_manager import ServiceManager
 from gateway.stimulation import StimulationGate
 from gateway.transports.can_port import CanBuses
 from gateway.transports.fair_share import BEGUN, FairShare, LoopLoad
-from gateway.transports.spec import PortSpec, can_reset, parse_port_spec
+from gateway.transports.spec import PortSpec, bytes_per_s, can_reset, parse_port_spec
 from gateway.vitals import Vitals
 
 _log = EventLog(__name__)
@@ -159,6 +160,7 @@ class Service:
                 health=health.of_radio(name),
                 first_session=journal.identity.first_session,
                 on_state=partial(self._on_radio_state, bus),
+                pace=LinePace(bytes_per_s=bytes_per_s(spec)),
             )
             for name, spec in ports.items()
         }
@@ -191,6 +193,19 @@ class Service:
                 on_unknown_clock=inquirer.note_refused,
             )
         )
+        mission = Mission(
+            config=config.mission,
+            issuer=issuer,
+            journal=journal,
+            reader=reader,
+            nodes=nodes,
+            handle=gate.handle,
+            health=health,
+            note=audit.note,
+            on_event=partial(self._publish_event, bus),
+        )
+        gate.listen(mission.on_stage)
+        journal.listen(mission.take_records)
         journal.listen(bus.publish_records)
         journal.listen(lambda committed: self._vitals.take_records(committed.records, committed.head_offset))
         journal.listen_for_fault(partial(self._on_journal_fault, bus))
@@ -203,6 +218,7 @@ class Service:
                 audit.note_limits(config.stimulation)
                 bus.start(
                     on_command=partial(commanding.take, tasks),
+                    on_order=lambda order, answer: mission.take_order(order, answer.tell),
                     on_turned_away=audit.turn_away,
                     open_reader=journal.reader,
                     journal=journal.journal_id,
@@ -217,11 +233,7 @@ class Service:
                 running.append(tasks.create_task(inquirer.run()))
                 running.append(tasks.create_task(commanding.dead_man.run()))
                 running.append(tasks.create_task(configurator.run()))
-                if config.mission.is_enabled:
-                    mission = Mission(
-                        config=config.mission, issuer=issuer, journal=journal, reader=reader, nodes=nodes, gate=gate, health=health
-                    )
-                    running.append(tasks.create_task(mission.run()))
+                running.append(tasks.create_task(mission.run()))
                 running += [tasks.create_task(coordinator.run()) for coordinator in coordinators.values()]
                 _log.info("gateway.started", name=config.name, site=config.site, journal=journal.journal_id, boot=journal.boot)
                 self._manager.ready()

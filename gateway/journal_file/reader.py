@@ -112,12 +112,9 @@ class JournalReader:
         begins = self._begins()
         return [record for record in self._states(MODE, limit) if isinstance(record, ModeRecord) and record.offset >= begins]
 
-    def read_last_mission(self) -> MissionRecord | None:
-        """Return the phase that began last, or None where no mission has run."""
-        for record in self._states(MISSION, 1):
-            if isinstance(record, MissionRecord):
-                return record
-        return None
+    def read_recent_missions(self, *, limit: int) -> list[MissionRecord]:
+        """Return the newest ``limit`` records of the mission, in the order of their offsets: phases, and their revisions."""
+        return [record for record in self._states(MISSION, limit) if isinstance(record, MissionRecord)]
 
     def read_pair(self, *, node_a: NodeId, node_b: NodeId, from_wall_ns: int, to_wall_ns: int) -> list[EncounterRecord]:
         """Return all revisions of a pair's encounters that overlap a time, in the order of their offsets.

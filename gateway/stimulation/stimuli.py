@@ -12,6 +12,7 @@ from gateway.stimulation import frames
 from gateway.stimulation.admission import remaining_ms
 from gateway.stimulation.answers import AnswerKeeper
 from gateway.stimulation.commands import Command
+from gateway.stimulation.guards import Guards
 from gateway.stimulation.ledger import TrainLedger
 from gateway.stimulation.outside import CommandSender, Sending
 from gateway.stimulation.pulses import Pulse
@@ -50,6 +51,7 @@ class Stimuli:
         ledger: TrainLedger,
         teller: StageTeller,
         answers: AnswerKeeper,
+        guards: Guards,
         now_ns: Callable[[], int],
         wall_clock: Callable[[], int],
         journal_fault: Callable[[], str | None],
@@ -60,6 +62,7 @@ class Stimuli:
         self._ledger = ledger
         self._teller = teller
         self._answers = answers
+        self._guards = guards
         self._flight = Flight(table=table)
         self._now_ns = now_ns
         self._wall_clock = wall_clock
@@ -74,13 +77,15 @@ class Stimuli:
             latest_ns = self._flight.latest_ns(now_ns=until_ns)
             command.train = self._ledger.reserve(node, train_ms=pulse.duration_ms, latest_ns=latest_ns, now_ns=began_ns)
         accepted = self._teller.stage(command, Stage.ACCEPTED, deadline_ns=until_ns + self._radio_timeout_ns)
+        left_ms = remaining_ms(command.request, now_wall_ns=self._wall_clock())
         is_on_disk = await self._teller.commit(command, accepted, train_ms=pulse.duration_ms)
         if command.is_final:  # the gateway ends
             self._take_back(command)
             return
-        refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns)
+        # By the monotonic clock: the other one may have been set meanwhile.
+        ttl_ms = left_ms - (self._now_ns() - began_ns) // NS_PER_MS
+        refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns, ttl_ms=ttl_ms)
         if refused is None:
-            ttl_ms = remaining_ms(command.request, now_wall_ns=self._wall_clock())
             try:
                 sending = self._sender.send(node, frames.stimulus(command, pulse, ttl_ms=ttl_ms))
             except RadioUnavailableError as error:
@@ -91,15 +96,16 @@ class Stimuli:
             return
         sent_ns = self._now_ns()
         command.sendings.append(sending)
+        latest_ns = self._flight.latest_ns(now_ns=sent_ns)
         if command.train is not None:
-            command.train.latest_ns = self._flight.latest_ns(now_ns=sent_ns)
+            command.train.latest_ns = latest_ns
+        self._guards.sent(command, until_ns=latest_ns)
         self._teller.announce(command, accepted)
-        await self._follow(command, sending, sent_ns=sent_ns)
+        await self._follow(command, sending, sent_ns=sent_ns, unwritten_ns=sent_ns + min(int(UNWRITTEN_S * NS_PER_S), ttl_ms * NS_PER_MS))
 
-    async def _follow(self, command: Command, sending: Sending, *, sent_ns: int) -> None:
-        """Wait for radio and biobot, each until its deadline."""
+    async def _follow(self, command: Command, sending: Sending, *, sent_ns: int, unwritten_ns: int) -> None:
+        """Wait for radio and biobot, each until its deadline; a frame that is not written until ``unwritten_ns`` is taken back."""
         deadline_ns = sent_ns + self._radio_timeout_ns
-        unwritten_ns = sent_ns + int(UNWRITTEN_S * NS_PER_S)
         outcome: RadioOutcome | None = None
         while not command.reply.done() and not command.is_final:
             now_ns = self._now_ns()
@@ -144,14 +150,14 @@ class Stimuli:
             return f"the radio has sent it, but no answer of the biobot within {reply_s:g} s; it may have been obeyed"
         return f"no answer within {reply_s:g} s ({outcome.reason or 'the radio does not say what became of it'}); it may have been obeyed"
 
-    def _why_not_now(self, command: Command, *, is_on_disk: bool) -> Refused | None:
+    def _why_not_now(self, command: Command, *, is_on_disk: bool, ttl_ms: int) -> Refused | None:
         """Return why a command that was admitted must not be sent after its wait for the disk, or None."""
         if command.is_overtaken:
             return _OVERTAKEN
         if not is_on_disk:
             reason = f"the journal takes nothing ({self._journal_fault() or 'slow disk'}); make room on its disk, or use a faster one"
             return Refused(refusal=Refusal.JOURNAL, reason=reason)
-        if remaining_ms(command.request, now_wall_ns=self._wall_clock()) <= 0:
+        if ttl_ms <= 0:
             return Refused(refusal=Refusal.STALE, reason="it expired before it could be sent; give it a longer time to live")
         return None
 
