@@ -6,6 +6,7 @@ are sensed by beacons, the record's own interval is wider, for the two were near
 """
 
 # ruff: noqa: PLR1730, FURB136  # calls of min and max would be a tenth of what an encounter costs
+
 from msgspec import Struct
 from msgspec.structs import force_setattr
 

@@ -50,13 +50,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--ways", nargs="+", choices=("zenoh", "rest", "all"), default=["zenoh", "rest", "all"])
     parser.add_argument("--no-full-disk", action="store_true", help="leave out the part that mounts and fills a disk (it needs root)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, help="keep files and logs here (default: a directory that is removed)")
+    parser.add_argument("--out", type=Path, help="made anew: keep files and logs here (default: a directory that is removed)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every stop there too")
     options = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that all that was started ends, and the disk is given back
     with ExitStack() as stack:
         out = options.out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stop-latency-", dir=Path.cwd())))
-        out.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(out, ignore_errors=True)
+        out.mkdir(parents=True)
         try:
             stops, frames = _measure(options, out.resolve())
         except PartFailedError as error:
@@ -71,7 +72,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _measure(options: argparse.Namespace, out: Path) -> tuple[list[Stop], StopFrames]:
     endpoint, url_file, chance = f"tcp/127.0.0.1:{free_port()}", out / "mapper.url", random.Random(options.seed)
-    url_file.unlink(missing_ok=True)
     stops: list[Stop] = []
     with ExitStack() as stack:
         disk = stack.enter_context(_small_disk(out / "disk", is_wanted=not options.no_full_disk))
@@ -104,7 +104,7 @@ def _measure(options: argparse.Namespace, out: Path) -> tuple[list[Stop], StopFr
         _say(f"load for {options.warm_up:g} s, load average {os.getloadavg()[0]:.1f}")
         time.sleep(options.warm_up)
         for is_full in (False, True) if disk is not None else (False,):
-            if is_full:
+            if is_full and disk is not None:
                 _fill(disk)
                 time.sleep(_FULL_S)
             for way in options.ways:

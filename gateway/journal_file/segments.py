@@ -3,11 +3,12 @@
 All that can be wrong with a write is found when it is added: a segment that was gathered can be stored.
 """
 
+# ruff: noqa: PLR1730  # calls of min and max for each record cost as much as encoding a third of it
+
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-# ruff: noqa: PLR1730  # calls of min and max for each record cost as much as encoding a third of it
 import msgspec
 from msgspec.structs import force_setattr
 

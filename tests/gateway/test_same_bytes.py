@@ -72,6 +72,7 @@ _NOBODY = IntakeListeners(
     on_duplicate=lambda _node, _before, _after: None,
     on_diagnostic=lambda _node, _diagnostic: None,
     on_configuration=lambda _node, _report: None,
+    on_limits=lambda _node, _limits: None,
     on_unknown_clock=lambda _: None,
 )
 
