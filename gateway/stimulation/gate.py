@@ -120,6 +120,7 @@ class StimulationGate:
             table=config,
             radio_timeout_s=radio_timeout_s,
             sender=sender,
+            nodes=nodes,
             ledger=ledger,
             teller=teller,
             answers=answers,

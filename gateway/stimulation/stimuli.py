@@ -4,9 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from firmware_protocol.contract.commands import Refusal, Stage
+from firmware_protocol.messages import Limits
 from firmware_protocol.units import NS_PER_MS, NS_PER_S
 from gateway.config import StimulationTable
 from gateway.errors import RadioUnavailableError
+from gateway.nodes import NodeBook
 from gateway.radio import Fate, RadioOutcome
 from gateway.stimulation import frames
 from gateway.stimulation.admission import remaining_ms
@@ -24,6 +26,8 @@ UNWRITTEN_S = 1.0
 
 _QUEUE_NS = (frames.MAX_QUEUED_MS + 10) * NS_PER_MS
 """How long after its frame a train may begin: what the backpack may have it wait, in ticks of its own clock."""
+
+_OTHER_LIMITS = Refused(refusal=Refusal.PULSE, reason="its backpack has just announced its limits; send it anew, to be judged by them")
 
 _OVERTAKEN = Refused(refusal=Refusal.OVERTAKEN, reason="a stop of this biobot came before it was sent; send it anew if it is still wanted")
 
@@ -48,6 +52,7 @@ class Stimuli:
         table: StimulationTable,
         radio_timeout_s: float,
         sender: CommandSender,
+        nodes: NodeBook,
         ledger: TrainLedger,
         teller: StageTeller,
         answers: AnswerKeeper,
@@ -59,6 +64,7 @@ class Stimuli:
         self._table = table
         self._radio_timeout_ns = int(radio_timeout_s * NS_PER_S)
         self._sender = sender
+        self._nodes = nodes
         self._ledger = ledger
         self._teller = teller
         self._answers = answers
@@ -71,6 +77,7 @@ class Stimuli:
     async def run(self, command: Command, pulse: Pulse) -> None:
         """Take an admitted command to its last stage."""
         began_ns, node = self._now_ns(), command.request.node
+        announced = self._announced(command)
         until_ns = began_ns + int(COMMIT_TIMEOUT_S * NS_PER_S)
         if pulse.duration_ms:
             # From now on: no other one must be admitted while this one waits for the disk.
@@ -85,6 +92,8 @@ class Stimuli:
         # By the monotonic clock: the other one may have been set meanwhile.
         ttl_ms = left_ms - (self._now_ns() - began_ns) // NS_PER_MS
         refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns, ttl_ms=ttl_ms)
+        if refused is None and announced != self._announced(command):
+            refused = _OTHER_LIMITS  # it was admitted by those before
         if refused is None:
             try:
                 sending = self._sender.send(node, frames.stimulus(command, pulse, ttl_ms=ttl_ms))
@@ -160,6 +169,10 @@ class Stimuli:
         if ttl_ms <= 0:
             return Refused(refusal=Refusal.STALE, reason="it expired before it could be sent; give it a longer time to live")
         return None
+
+    def _announced(self, command: Command) -> Limits | None:
+        node = self._nodes.find(command.request.node)
+        return None if node is None else node.limits
 
     def _take_back(self, command: Command) -> None:
         if command.train is not None:

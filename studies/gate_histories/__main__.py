@@ -1,7 +1,6 @@
 """Try the stimulation gate in random histories: ``python -m studies.gate_histories --histories 100000`` (docs/gate-histories.md)."""
 
 import argparse
-import logging
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -29,7 +28,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--histories {parsed.histories}; wanted 1 or more")
     n_batches = -(-parsed.histories // _A_BATCH)
     batches = [Batch(number=parsed.first + at, n_histories=_A_BATCH) for at in range(n_batches)]
-    logging.disable(logging.CRITICAL)
     try:
         done = run_cases(STUDY, batches, read_flags(parsed, journal=parsed.out), label="batches")
     except StudyError as error:

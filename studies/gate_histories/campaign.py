@@ -2,7 +2,9 @@
 
 import contextlib
 import io
+import logging
 from collections import Counter
+from collections.abc import Iterator
 
 import msgspec
 from hypothesis import HealthCheck, Phase, seed, settings
@@ -56,7 +58,7 @@ def run_batch(batch: Batch) -> BatchResult:
         phases=(Phase.generate, Phase.shrink),
         suppress_health_check=list(HealthCheck),
     )
-    with contextlib.redirect_stdout(io.StringIO()) as told:
+    with contextlib.redirect_stdout(io.StringIO()) as told, _quiet():
         try:
             run_state_machine_as_test(Reporting, settings=how)
         except AssertionError as error:
@@ -65,6 +67,17 @@ def run_batch(batch: Batch) -> BatchResult:
 
 
 STUDY = Study(name="gate histories", compute=run_batch, result_type=BatchResult)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Log nothing: a full disk and a dead radio are everyday here."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logging.disable(before)
 
 
 def _count(world: World) -> Counter[str]:

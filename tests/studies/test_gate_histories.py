@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from hypothesis import settings
 
-from firmware_protocol.contract.commands import CommandStage, PulseRequest, Stage, StimulationAction
+from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, Stage, StimulationAction
 from firmware_protocol.messages import Action
 from gateway.config import StimulationTable
 from gateway.radio import Fate
@@ -192,4 +192,17 @@ def test_an_insect_that_an_older_frame_moves_after_a_stop_is_stopped_again(n_los
     stop = world.order(Order(action=_STOP, node=1))
     world.wait(20_000)
     assert [one.action for one in world.biobots[stop.request.node].log] == [Action.STOP, Action.START, Action.STOP]
+    assert _kinds(world) == set()
+
+
+def test_limits_that_a_backpack_announces_while_the_disk_is_slow_hold_for_what_waits_for_it() -> None:
+    world = World(dataclasses.replace(sites.SITES[0], limits=sites.LIMITS[3]), rows=MemoryRows())
+    world.wait(50)
+    world.set_disk(is_full=False, commit_ms=200)
+    call = world.order(Order(action=_TURN, node=2))
+    world.wait(100)
+    world.hear(2, announces=True)
+    world.wait(3_000)
+    assert call.last is not None
+    assert call.last.refusal is Refusal.PULSE
     assert _kinds(world) == set()
