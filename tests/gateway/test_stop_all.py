@@ -63,7 +63,7 @@ def test_a_biobot_that_answers_the_broadcast_is_not_sent_to_again(tmp_path: Path
 
 def test_who_does_not_confirm_is_named(tmp_path: Path) -> None:
     async def story() -> None:
-        async with a_site(tmp_path / "j", *range(1, 21)) as site:
+        async with a_site(tmp_path / "j", *range(1, 21), config=QUICK) as site:
             site.air.answers = lambda node, _n: node > 12
             stages, parts = await _heard(site)
             assert stages[-1].stage is Stage.UNKNOWN
