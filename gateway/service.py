@@ -197,6 +197,7 @@ class Service:
             is_commander_there=commanders.is_there,
             controlled=lambda: book.controlled,
             controller_of=book.operator_of,
+            on_repeated=audit.note_repeated,
         )
         dead_man = DeadMan(
             gate=gate,
