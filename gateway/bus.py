@@ -21,6 +21,7 @@ from firmware_protocol.contract.commands import CommandStage, StimulationAccount
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.presence import Kind, build_token_key
 from firmware_protocol.contract.records import (
+    EncodedBatch,
     GatewayEvent,
     GatewayStatus,
     NeighbourReport,
@@ -31,8 +32,8 @@ from firmware_protocol.contract.records import (
 from gateway.bus_commands import CommandDoor, CommandTaker, OrderDoor, OrderTaker, TurnedAwayListener
 from gateway.bus_history import HistoryDoor
 from gateway.bus_presence import CommanderDoor, CommanderListener, WatermarkDoor
-from gateway.bus_session import ConnectionWatch, is_token_seen, open_service
-from gateway.bus_standing import StandingDeclarations
+from gateway.bus_session import ConnectionWatch
+from gateway.bus_standing import ServiceSession, StandingDeclarations
 from gateway.config import GatewayConfig
 from gateway.errors import BusError
 from gateway.health import Health
@@ -59,9 +60,7 @@ _NAME_CHECK_S = 1.5
 class Bus:
     """An open Zenoh session of a gateway."""
 
-    def __init__(
-        self, *, session: zenoh.Session, watch: ConnectionWatch, is_seen: Callable[[], bool | None], site: str, gateway: str, health: Health
-    ) -> None:
+    def __init__(self, *, session: ServiceSession, watch: ConnectionWatch, site: str, gateway: str, health: Health) -> None:
         self._session = session
         self._watch = watch
         self._site = site
@@ -71,18 +70,9 @@ class Bus:
         self._answers = ThreadPoolExecutor(max_workers=1, thread_name_prefix="answers")
         self._history: HistoryDoor | None = None
         self._commands: CommandDoor | None = None
-        self._standing = StandingDeclarations(session, is_seen=is_seen, health=health)
-        self._publishers = {
-            stream: zenoh.ext.declare_advanced_publisher(
-                session,
-                self._key(stream),
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                cache=zenoh.ext.CacheConfig(_CACHE),
-                sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=_HEARTBEAT_S, sporadic_heartbeat=None),
-                publisher_detection=True,
-            )
-            for stream in (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
-        }
+        self._standing = StandingDeclarations(session)
+        self._publishers: dict[Stream, zenoh.ext.AdvancedPublisher] = {}
+        session.when_open(self._declare_publishers)
         self._thread = threading.Thread(target=self._run_puts, name="puts", daemon=True)
         self._thread.start()
 
@@ -101,18 +91,16 @@ class Bus:
         if report.problems or problems:
             raise BusError("; ".join((*report.problems, *problems)))
         access = None if config.roster is None else access_control(members)
-        session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, timing=config.zenoh, access=access)
+        session = ServiceSession(listen=config.listen, connect=config.connect, tls=config.tls, timing=config.zenoh, access=access)
         if config.connect and _is_taken(session, build_key(site=config.site, stream=Stream.ALIVE, gateway=config.name)):
-            session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+            session.close()
             raise BusError(f"a gateway named {config.name!r} is alive at site {config.site!r} already; give this one another --name")
-        watch = ConnectionWatch(session, connect=config.connect, tls=config.tls, facts=report.facts, health=health)
-        own = build_key(site=config.site, stream=Stream.ALIVE, gateway=config.name)
-        is_seen = partial(is_token_seen, own, connect=config.connect, tls=config.tls, timing=config.zenoh)
-        return cls(session=session, watch=watch, is_seen=is_seen, site=config.site, gateway=config.name, health=health)
+        watch = ConnectionWatch(n_links=session.n_links, connect=config.connect, tls=config.tls, facts=report.facts, health=health)
+        return cls(session=session, watch=watch, site=config.site, gateway=config.name, health=health)
 
     def n_links(self) -> int:
         """Return how many other sessions are connected now."""
-        return len(self._session.info.transports())
+        return self._session.n_links()
 
     def start(
         self,
@@ -130,7 +118,7 @@ class Bus:
 
         All that is given is called in the running loop, but for ``open_reader`` and ``on_turned_away``.
         """
-        loop, health, session, standing = asyncio.get_running_loop(), self._health, self._session, self._standing
+        loop, health, standing = asyncio.get_running_loop(), self._health, self._standing
 
         def tell_damage(damage: Damage) -> None:
             if on_damage is not None:
@@ -140,12 +128,12 @@ class Bus:
             door = CommanderDoor(loop=loop, health=health, listener=commanders)
             beats = build_key(site=self._site, stream=Stream.BEAT, gateway=ANY)
             tokens = build_token_key(site=self._site, kind=Kind.COMMANDER, name=ANY)
-            standing.declare("beats", lambda: session.declare_subscriber(beats, door.take_beat))
-            standing.declare("commanders", lambda: session.liveliness().declare_subscriber(tokens, door.take_token, history=True))
+            standing.declare("beats", lambda session: session.declare_subscriber(beats, door.take_beat))
+            standing.declare("commanders", lambda session: session.liveliness().declare_subscriber(tokens, door.take_token, history=True))
         if on_watermark is not None:
             marks = WatermarkDoor(loop=loop, journal=journal, health=health, on_watermark=on_watermark)
             watermarks = build_key(site=self._site, stream=Stream.WATERMARK, gateway=self._gateway, mapper=ANY)
-            standing.declare("watermarks", lambda: session.declare_subscriber(watermarks, marks.take))
+            standing.declare("watermarks", lambda session: session.declare_subscriber(watermarks, marks.take))
         answer = partial(history_batches, open_reader=open_reader, gateway=self._gateway, journal=journal, on_damage=tell_damage)
         command_key, order_key, history_key = map(self._key, (Stream.COMMAND, Stream.ORDERS, Stream.HISTORY))
         history = self._history = HistoryDoor(key=history_key, health=health, answer=answer)
@@ -157,14 +145,14 @@ class Bus:
             on_command=on_command,
             on_turned_away=on_turned_away,
         )
-        standing.declare("command", lambda: session.declare_queryable(command_key, commands.take))
+        standing.declare("command", lambda session: session.declare_queryable(command_key, commands.take))
         if on_order is not None:
             first = commands.hand_over_stops
             orders = OrderDoor(loop=loop, key=order_key, executor=self._answers, health=health, on_order=on_order, before=first)
-            standing.declare("orders", lambda: session.declare_queryable(order_key, orders.take))
-        standing.declare("history", lambda: session.declare_queryable(history_key, history.take))
+            standing.declare("orders", lambda session: session.declare_queryable(order_key, orders.take))
+        standing.declare("history", lambda session: session.declare_queryable(history_key, history.take))
         alive = self._key(Stream.ALIVE)
-        standing.declare("alive", lambda: session.liveliness().declare_token(alive))
+        standing.declare("alive", lambda session: session.liveliness().declare_token(alive))
 
     @property
     def n_waiting(self) -> int:
@@ -183,8 +171,10 @@ class Bus:
     def publish_records(self, committed: Committed) -> None:
         """Publish records that are on disk, as they lie there: batches of one kind each."""
         for stream, batch in batches_of(committed, gateway=self._gateway):
-            publisher = self._publishers[stream]
-            self._queue_put(lambda publisher=publisher, batch=batch: publisher.put(encode_record(batch)))  # type: ignore[misc]
+            publisher = self._publishers.get(stream)
+            if publisher is None:
+                return  # nobody was ever there: whoever comes asks the history
+            self._queue_put(partial(_put_batch, publisher, batch))
 
     def publish_gateway_status(self, status: GatewayStatus) -> None:
         """Publish the gateway's own state."""
@@ -205,7 +195,13 @@ class Bus:
     def publish_stage(self, stage: CommandStage) -> None:
         """Publish how far a command has come, whoever gave it."""
         key, payload = self._key(Stream.STAGES), encode_record(stage)
-        self._queue_put(lambda: self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True))
+
+        def put() -> None:
+            session = self._session.current
+            if session is not None:
+                session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True)
+
+        self._queue_put(put)
 
     def publish_account(self, account: StimulationAccount) -> None:
         """Publish how a biobot was stimulated."""
@@ -222,24 +218,42 @@ class Bus:
         self._answers.shutdown(wait=True)
         if self._history is not None:
             self._history.close()
-        self._session.close()  # type: ignore[no-untyped-call]  # same
+        self._session.close()
 
     def _key(self, stream: Stream) -> str:
         return build_key(site=self._site, stream=stream, gateway=self._gateway)
+
+    def _declare_publishers(self, session: zenoh.Session) -> None:
+        self._publishers = {
+            stream: zenoh.ext.declare_advanced_publisher(
+                session,
+                self._key(stream),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                cache=zenoh.ext.CacheConfig(_CACHE),
+                sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=_HEARTBEAT_S, sporadic_heartbeat=None),
+                publisher_detection=True,
+            )
+            for stream in (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
+        }
 
     def _set_radio(self, radio: str, *, is_up: bool) -> None:
         name = f"radio {radio}"
         key = build_token_key(site=self._site, kind=Kind.RADIO, name=self._gateway, radio=radio)
         try:
             if is_up and not self._standing.is_declared(name):
-                self._standing.declare(name, lambda: self._session.liveliness().declare_token(key))
+                self._standing.declare(name, lambda session: session.liveliness().declare_token(key))
             elif not is_up:
                 self._standing.undeclare(name)
         except zenoh.ZError as error:
             _log.warning("bus.radio_untold", radio=radio, reason=str(error))
 
     def _publish_state(self, key: str, state: Struct) -> None:
-        self._queue_put(lambda: self._session.put(key, encode_record(state)))
+        def put() -> None:
+            session = self._session.current
+            if session is not None:
+                session.put(key, encode_record(state))
+
+        self._queue_put(put)
 
     def _queue_put(self, put: Callable[[], None]) -> None:
         if self._puts.qsize() >= _PUT_QUEUE:
@@ -256,9 +270,17 @@ class Bus:
                 _log.debug("bus.failed_put", reason=str(error))
 
 
-def _is_taken(session: zenoh.Session, key: str) -> bool:
+def _put_batch(publisher: zenoh.ext.AdvancedPublisher, batch: EncodedBatch) -> None:
+    publisher.put(encode_record(batch))
+
+
+def _is_taken(service: ServiceSession, key: str) -> bool:
     """Whether somebody else holds a liveliness token; a session that was just opened learns of it once it is connected."""
+    if not service.wait_open(_NAME_CHECK_S):
+        return False
     heard = threading.Event()
+    session = service.current
+    assert session is not None
     subscriber = session.liveliness().declare_subscriber(key, lambda _sample: heard.set(), history=True)
     is_taken = heard.wait(_NAME_CHECK_S)
     subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type

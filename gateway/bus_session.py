@@ -3,7 +3,7 @@
 import json
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import zenoh
@@ -19,7 +19,6 @@ from gateway.tls_files import EXPIRES_SOON_DAYS, days_left
 _log = EventLog(__name__)
 
 _CLIENT_TIMEOUT_MS: Final = 3000
-_TOKEN_TIMEOUT_S: Final = 1.0
 _LOOK_EVERY_S: Final = 0.2
 _PATIENCE_S: Final = 1.5
 """Nobody is connected for so long before the reason is looked for."""
@@ -72,18 +71,14 @@ def open_client(*, connect: Sequence[str], tls: TlsTable, timing: ZenohTable | N
         raise BusError(f"cannot connect: {reasons or first_sentence(error)}") from error
 
 
-def is_token_seen(key: str, *, connect: Sequence[str], tls: TlsTable, timing: ZenohTable | None = None) -> bool | None:
-    """Return whether those that are connected to tell a newcomer of a token; None: none of them could be asked. Takes seconds."""
-    if not connect:
-        return None
+def try_client(*, connect: Sequence[str], tls: TlsTable, timing: ZenohTable | None = None) -> zenoh.Session | None:
+    """Try once to open a client's session; None: nobody could be connected to."""
+    timeout_ms = (timing or ZenohTable()).open_timeout_ms
+    settings = session_settings(mode=CLIENT, listen=(), connect=connect, tls=tls, timing=timing, timeout_ms=timeout_ms)
     try:
-        with open_client(connect=connect, tls=tls, timing=timing) as session:
-            replies = list(session.liveliness().get(key, timeout=_TOKEN_TIMEOUT_S))
-    except (BusError, zenoh.ZError):
-        return None
-    if any(reply.ok is not None for reply in replies):
-        return True
-    return None if replies else False  # an error: nobody has ended the query
+        return zenoh.open(_config_of(settings))
+    except zenoh.ZError:
+        return None  # why, `ConnectionWatch` says
 
 
 def first_sentence(error: zenoh.ZError) -> str:
@@ -99,8 +94,8 @@ class ConnectionWatch:
 
     def __init__(
         self,
-        session: zenoh.Session,
         *,
+        n_links: Callable[[], int],
         connect: Sequence[str],
         tls: TlsTable,
         facts: CertificateFacts | None,
@@ -108,7 +103,7 @@ class ConnectionWatch:
         patience_s: float = _PATIENCE_S,
         ask_again_s: float = _ASK_AGAIN_S,
     ) -> None:
-        self._session = session
+        self._n_links = n_links
         self._connect = tuple(connect)
         self._tls = tls
         self._facts = facts
@@ -138,7 +133,7 @@ class ConnectionWatch:
             if now_s - certificate_s >= _CERTIFICATE_EVERY_S:
                 certificate_s = now_s
                 self._look_at_certificate()
-            n_connected = len(self._session.info.transports())
+            n_connected = self._n_links()
             self._health.set_level("bus.connections", n_connected)
             if n_connected or not self._connect:
                 alone_since_s = now_s
@@ -153,7 +148,7 @@ class ConnectionWatch:
         self._reasons, self._n_connected = {}, n_connected
 
     def _say_alone(self, reasons: dict[str, str]) -> None:
-        if self._session.info.transports():
+        if self._n_links():
             return  # somebody came while the reasons were looked for
         self._health.count("bus.unconnected_looks")
         for endpoint, reason in reasons.items():

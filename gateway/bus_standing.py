@@ -1,129 +1,147 @@
-"""What the gateway has declared on Zenoh: kept so that it can be declared anew where a router has lost it.
+"""The Zenoh session of a service, which may not be there yet, and what stands declared on it once it is.
 
-A router that stood still for longer than the lease finds the end of a session's old link and its new link at one moment; it may then
-take the old one's end for the session's, and forget all that the session has declared (eclipse-zenoh 1.10): publications still go
-through, but nobody sees its tokens, and its queryables are asked nothing. So after each new link a client's session asks the router
-whether one's own token is there.
+A service that only connects, to one router, is a *client* of Zenoh: a router that stood still for longer than the lease finds the end of
+a link and the new link at one moment, and forgets for good what another *router* has declared (eclipse-zenoh 1.10, ADR 0016); of a client
+it forgets nothing. A client's session opens only when somebody is there, so it is opened in the background, again and again. A service
+that listens, or connects to several, is a router of Zenoh, whose session opens at once.
 """
 
 import threading
-import time
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, TypeAlias
 
 import zenoh
 
-from gateway.health import Health
+from firmware_protocol.contract.sessions import CLIENT, TlsTable, ZenohTable, mode_of_service
+from gateway.bus_session import open_service, try_client
 from gateway.log import EventLog
 
 _log = EventLog(__name__)
 
 Declared: TypeAlias = zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.LivelinessToken
 
-_LOOKS_S: Final = (2.0, 6.0, 20.0)
-"""So long after a new link it is looked for."""
+_PAUSE_S: Final = 0.1
+"""Between two attempts to open a client's session; each of them lasts for as long as a connection may take."""
 
-_AGAIN_S: Final = 2.0
-"""What is not seen is looked for again after this, before it is declared anew: routers need a moment to tell each other."""
+_JOIN_S: Final = 5.0
 
-_LONGEST_WAIT_S: Final = 3600.0
+
+class ServiceSession:
+    """See the module. What others do with the session, they do by ``when_open``.
+
+    Raises
+    ------
+    BusError
+        An endpoint cannot be listened on, or is none.
+    """
+
+    def __init__(
+        self,
+        *,
+        listen: Sequence[str],
+        connect: Sequence[str],
+        tls: TlsTable,
+        timing: ZenohTable | None = None,
+        access: Mapping[str, object] | None = None,
+    ) -> None:
+        self._lock = threading.RLock()
+        self._is_open, self._closing = threading.Event(), threading.Event()
+        self._todo: list[Callable[[zenoh.Session], None]] = []
+        self._session: zenoh.Session | None = None
+        self._thread: threading.Thread | None = None
+        if mode_of_service(listen=listen, connect=connect) == CLIENT:
+            self._thread = threading.Thread(target=self._join, args=(tuple(connect), tls, timing), name="joining", daemon=True)
+            self._thread.start()
+        else:
+            self._came(open_service(listen=listen, connect=connect, tls=tls, timing=timing, access=access))
+
+    @property
+    def current(self) -> zenoh.Session | None:
+        """The session, where it is open."""
+        return self._session
+
+    def n_links(self) -> int:
+        """Return how many other sessions are connected now."""
+        session = self._session
+        return 0 if session is None else len(session.info.transports())
+
+    def when_open(self, do: Callable[[zenoh.Session], None]) -> None:
+        """Have something done with the session: now, or on a thread of its own once it is open."""
+        with self._lock:
+            if self._session is None:
+                self._todo.append(do)
+            else:
+                do(self._session)
+
+    def wait_open(self, timeout_s: float) -> bool:
+        """Wait until it is open; False: it is not by then."""
+        return self._is_open.wait(timeout_s)
+
+    def close(self) -> None:
+        """Close the session, and open none any more."""
+        self._closing.set()
+        if self._thread is not None:
+            self._thread.join(timeout=_JOIN_S)
+        with self._lock:
+            session, self._session = self._session, None
+            if session is not None:
+                session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+
+    def _join(self, connect: tuple[str, ...], tls: TlsTable, timing: ZenohTable | None) -> None:
+        while not self._closing.is_set():
+            session = try_client(connect=connect, tls=tls, timing=timing)
+            if session is not None:
+                if self._closing.is_set():
+                    session.close()  # type: ignore[no-untyped-call]  # same
+                else:
+                    self._came(session)
+                return
+            self._closing.wait(_PAUSE_S)
+
+    def _came(self, session: zenoh.Session) -> None:
+        with self._lock:
+            self._session = session
+            for do in self._todo:
+                try:
+                    do(session)
+                except zenoh.ZError as error:
+                    _log.error("bus.undeclared", reason=str(error))
+            self._todo.clear()
+        self._is_open.set()
 
 
 class StandingDeclarations:
-    """Declares by name, and all of it again when ``is_seen`` says that others do not see it; see the module.
+    """What is declared by name: on the session, or once there is one."""
 
-    Parameters
-    ----------
-    is_seen
-        Asks the router, on this object's thread; None: it could not be asked.
-    """
-
-    def __init__(self, session: zenoh.Session, *, is_seen: Callable[[], bool | None], health: Health) -> None:
-        self._is_seen = is_seen
-        self._health = health
+    def __init__(self, session: ServiceSession) -> None:
+        self._session = session
         self._lock = threading.Lock()
-        self._makers: dict[str, Callable[[], Declared]] = {}
-        self._made: dict[str, Declared] = {}
-        self._wake = threading.Condition()
-        self._due_s: deque[float] = deque()
-        self._is_closing = self._is_told = False
-        self._links = session.info.declare_link_events_listener(self._on_link, history=True)
-        self._thread = threading.Thread(target=self._run, name="standing", daemon=True)
-        self._thread.start()
+        self._names: dict[str, Declared | None] = {}
 
-    def declare(self, name: str, make: Callable[[], Declared]) -> None:
+    def declare(self, name: str, make: Callable[[zenoh.Session], Declared]) -> None:
         """Declare what ``make`` makes, under a name that is free; raises ``ZError`` where Zenoh does not take it."""
         with self._lock:
-            self._made[name] = make()
-            self._makers[name] = make
+            self._names[name] = None
+
+        def declare_now(session: zenoh.Session) -> None:
+            with self._lock:
+                if name in self._names:  # it may have been taken back before there was a session
+                    self._names[name] = make(session)
+
+        self._session.when_open(declare_now)
 
     def undeclare(self, name: str) -> None:
         """Take back what was declared under a name, if it was."""
         with self._lock:
-            self._makers.pop(name, None)
-            made = self._made.pop(name, None)
+            made = self._names.pop(name, None)
             if made is not None:
                 made.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
 
     def is_declared(self, name: str) -> bool:
-        """Whether something stands under a name."""
-        return name in self._makers
+        """Whether something stands under a name, or will."""
+        return name in self._names
 
     def close(self) -> None:
         """Take all of it back, the newest first."""
-        with self._wake:
-            self._is_closing = True
-            self._wake.notify()
-        self._thread.join(timeout=5.0)
-        for name in reversed(list(self._makers)):
+        for name in reversed(list(self._names)):
             self.undeclare(name)
-
-    def _on_link(self, event: zenoh.LinkEvent) -> None:
-        """Runs on a thread of Zenoh."""
-        if event.kind == zenoh.SampleKind.PUT:
-            self._look_after(*_LOOKS_S)
-
-    def _look_after(self, *pauses_s: float) -> None:
-        now_s = time.monotonic()
-        with self._wake:
-            self._due_s = deque(now_s + pause_s for pause_s in pauses_s)
-            self._wake.notify()
-
-    def _run(self) -> None:
-        n_unseen = 0
-        while self._wait():
-            is_seen = self._is_seen()
-            n_unseen = n_unseen + 1 if is_seen is False else 0
-            if n_unseen > 1:
-                self._renew()
-            elif is_seen and self._is_told:
-                self._is_told = False
-                _log.info("bus.seen_again")
-            if n_unseen:
-                with self._wake:
-                    self._due_s.appendleft(time.monotonic() + _AGAIN_S)
-
-    def _wait(self) -> bool:
-        """Wait until it is time to look; False: never again."""
-        with self._wake:
-            while not self._is_closing:
-                wait_s = self._due_s[0] - time.monotonic() if self._due_s else _LONGEST_WAIT_S
-                if wait_s <= 0:
-                    self._due_s.popleft()
-                    return True
-                self._wake.wait(wait_s)
-            return False
-
-    def _renew(self) -> None:
-        self._health.count("bus.declared_anew")
-        if not self._is_told:
-            self._is_told = True
-            _log.warning("bus.unseen", reason="the router is connected, and has lost what was declared to it; it is declared anew")
-        with self._lock:
-            for name, make in self._makers.items():
-                try:
-                    self._made[name].undeclare()  # type: ignore[no-untyped-call]  # same
-                    self._made[name] = make()
-                except zenoh.ZError as error:
-                    _log.warning("bus.undeclared", name=name, reason=str(error))

@@ -86,7 +86,9 @@ class Router:
         self._session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, timing=config.zenoh, access=access)
         self._members = members
         facts = check_tls_files(config.tls, roles=()).facts
-        self._watch = ConnectionWatch(self._session, connect=config.connect, tls=config.tls, facts=facts, health=self._health)
+        self._watch = ConnectionWatch(
+            n_links=lambda: len(self._session.info.transports()), connect=config.connect, tls=config.tls, facts=facts, health=self._health
+        )
         self._session.info.declare_link_events_listener(self._happenings.put, history=True)
 
     def _close(self) -> None:

@@ -54,7 +54,7 @@ class SiteWatch:
             ``connect`` is no endpoint.
         """
         session = open_service(listen=(), connect=connect, tls=tls, timing=timing)
-        watch = ConnectionWatch(session, connect=connect, tls=tls, facts=None, health=Health())
+        watch = ConnectionWatch(n_links=lambda: len(session.info.transports()), connect=connect, tls=tls, facts=None, health=Health())
         return cls(session, watch=watch, site=site, gateway=gateway)
 
     @property

@@ -4,7 +4,6 @@ Zenoh calls back on threads of its own. Callbacks only put bytes into a bounded 
 """
 
 import asyncio
-import json
 import random
 import threading
 from collections import Counter, deque
@@ -12,6 +11,7 @@ from collections.abc import AsyncGenerator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Self
 
 import zenoh
@@ -22,10 +22,10 @@ from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.mission_orders import MissionAnswer, MissionOrder
 from firmware_protocol.contract.presence import Kind, build_token_key
 from firmware_protocol.contract.records import HistoryRequest, RecordBatch, Watermark, decode_record, encode_record
-from firmware_protocol.contract.sessions import ROUTER, TlsTable, ZenohTable, session_settings
+from firmware_protocol.contract.sessions import TlsTable, ZenohTable, endpoint_problem
 from firmware_protocol.errors import RecordError
 from mapper.arrivals import Arrival, decode_arrival
-from mapper.bus_standing import StandingDeclarations
+from mapper.bus_standing import StandingSession
 from mapper.errors import BusError, QueryError
 from mapper.log import EventLog
 
@@ -62,13 +62,13 @@ class Bus:
         self.counters: Counter[str] = Counter()
         self._site = site
         self._loop = loop
-        self._session: zenoh.Session
-        self._standing: StandingDeclarations
+        self._session: StandingSession
         self._lock = threading.Lock()
         self._inbox: deque[tuple[str, bytes | bool]] = deque()
         self._inbox_bytes = 0
         self._has_arrivals = asyncio.Event()
         self._is_claimed = asyncio.Event()
+        self._commander_key = ""
         # Of its own: whatever else waits for Zenoh in the default pool, a stop does not wait for it.
         self._urgent = ThreadPoolExecutor(_URGENT_THREADS, thread_name_prefix="urgent")
 
@@ -90,10 +90,12 @@ class Bus:
             An endpoint cannot be understood, or cannot be listened on.
         """
         bus = cls(site=site, loop=asyncio.get_running_loop())
+        for reason in filter(None, (endpoint_problem(endpoint, listens=False) for endpoint in connect)):
+            raise BusError(reason=reason, next_step="give endpoints such as tcp/127.0.0.1:7447")
         try:
-            config = _session_config(connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing)
-            bus._session = await asyncio.to_thread(zenoh.open, config)
-            bus._standing = StandingDeclarations(bus._session, connect=connect, tls=tls or TlsTable(), timing=timing)
+            bus._session = await asyncio.to_thread(
+                partial(StandingSession, connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing)
+            )
             await asyncio.to_thread(bus._declare)
         except zenoh.ZError as error:
             raise BusError(
@@ -110,11 +112,7 @@ class Bus:
     @property
     def is_connected(self) -> bool:
         """Say whether any gateway or router is connected."""
-        return bool(self._session.info.transports())
-
-    async def stay_seen(self) -> None:
-        """Declare anew what a router has lost, until cancelled."""
-        await self._standing.run()
+        return self._session.is_connected
 
     async def claim(self, name: str, *, settle_s: float = _SETTLE_S, patience_s: float = _PATIENCE_S) -> None:
         """Be alive under a name, once somebody is connected and nobody else has been alive under it for ``settle_s`` to twice that.
@@ -127,10 +125,10 @@ class Bus:
             Somebody else is alive under it, and still is after ``patience_s``: a mapper that was killed may be for a while.
         """
         key = build_token_key(site=self._site, kind=Kind.MAPPER, name=name)
-        liveliness = self._session.liveliness()
 
         def is_taken() -> bool:
-            return any(reply.ok is not None for reply in liveliness.get(key, timeout=_ALIVE_TIMEOUT_S))
+            session = self._session.current
+            return session is not None and any(reply.ok is not None for reply in session.liveliness().get(key, timeout=_ALIVE_TIMEOUT_S))
 
         settle_s *= random.uniform(1, 2)  # two that come to be connected at one moment are not to claim it at one moment
         free_since = taken_since = None
@@ -149,26 +147,29 @@ class Bus:
             else:
                 free_since, taken_since = free_since or now, None
             await asyncio.sleep(_LOOK_EVERY_S)
-        await asyncio.to_thread(self._standing.declare, "mapper", lambda: liveliness.declare_token(key))
-        self._standing.own = key
+        await asyncio.to_thread(self._session.hold_token, key)
         self._is_claimed.set()
 
     async def be_commander(self, name: str) -> None:
         """Hold the token of a commander, once `claim` has made sure that nobody else has that name: it must go when this process does."""
         await self._is_claimed.wait()
         key = build_token_key(site=self._site, kind=Kind.COMMANDER, name=name)
-        await asyncio.to_thread(self._standing.declare, "commander", lambda: self._session.liveliness().declare_token(key))
+        await asyncio.to_thread(self._session.hold_token, key)
+        self._commander_key = key
 
     async def resign(self) -> None:
         """Give the commander's token back; gateways stop whom it moved."""
         with suppress(zenoh.ZError):
-            await asyncio.to_thread(self._standing.undeclare, "commander")
+            await asyncio.to_thread(self._session.undeclare, self._commander_key)
 
     def publish_beat(self, *, commander: str, number: int) -> None:
         """Say that a commander is there. It takes no longer than a millisecond: on a link that takes nothing it is dropped."""
         key = build_key(site=self._site, stream=Stream.BEAT, gateway=commander)
+        session = self._session.current
+        if session is None:
+            return
         with suppress(zenoh.ZError):
-            self._session.put(
+            session.put(
                 key,
                 encode_record(CommanderBeat(number=number)),
                 congestion_control=zenoh.CongestionControl.DROP,
@@ -221,8 +222,10 @@ class Bus:
         """Tell a gateway how far a mapper has its records; one that is not there hears it the next time."""
         key = build_key(site=self._site, stream=Stream.WATERMARK, gateway=gateway, mapper=mapper)
         payload = encode_record(Watermark(mapper=mapper, journal=journal, offset=offset))
-        with suppress(zenoh.ZError):
-            await asyncio.to_thread(self._session.put, key, payload)
+        session = self._session.current
+        if session is not None:
+            with suppress(zenoh.ZError):
+                await asyncio.to_thread(session.put, key, payload)
 
     def send_command(
         self, request: StimulationRequest, *, gateway: str | None, timeout_s: float
@@ -283,7 +286,11 @@ class Bus:
                 self._loop.call_soon_threadsafe(replies.put_nowait, reply)
 
         def ask() -> None:
-            self._session.get(
+            session = self._session.current
+            if session is None or not session.info.transports():
+                hand_over(None)  # nobody is there; a client would wait until the query's time is over
+                return
+            session.get(
                 key,
                 zenoh.handlers.Callback(hand_over, drop=lambda: hand_over(None)),
                 payload=payload,
@@ -318,7 +325,7 @@ class Bus:
 
         advanced = [pattern(stream) for stream in _JOURNALED] + [pattern(Stream.STATUS), pattern(Stream.STATUS, node=ANY)]
         for key in advanced:
-            self._standing.subscribe_advanced(key, self._on_sample)
+            self._session.subscribe_advanced(key, self._on_sample)
         plain = (
             pattern(Stream.NEIGHBOURS, node=ANY),
             pattern(Stream.EVENTS),
@@ -326,7 +333,7 @@ class Bus:
             pattern(Stream.STIMULATION, node=ANY),
         )
         for key in plain:
-            self._standing.subscribe(key, self._on_sample)
+            self._session.subscribe(key, self._on_sample)
         seen = (
             build_token_key(site=self._site, kind=Kind.GATEWAY, name=ANY),
             build_token_key(site=self._site, kind=Kind.RADIO, name=ANY, radio=ANY),
@@ -334,7 +341,7 @@ class Bus:
             build_token_key(site=self._site, kind=Kind.COMMANDER, name=ANY),
         )
         for key in seen:
-            self._standing.subscribe_tokens(key, self._on_presence)
+            self._session.subscribe_tokens(key, self._on_presence)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
@@ -369,13 +376,6 @@ class _Query:
 
 def _size(payload: bytes | bool) -> int:  # noqa: FBT001  # see Bus._push
     return len(payload) if isinstance(payload, bytes) else 0
-
-
-def _session_config(*, connect: tuple[str, ...], listen: tuple[str, ...], tls: TlsTable, timing: ZenohTable | None) -> zenoh.Config:
-    config = zenoh.Config()
-    for name, value in session_settings(mode=ROUTER, listen=listen, connect=connect, tls=tls, timing=timing).items():
-        config.insert_json5(name, json.dumps(value))
-    return config
 
 
 def _query_error(key: str, payload: bytes, *, timeout_s: float) -> QueryError:

@@ -187,7 +187,6 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
             group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")
             tasks.append(group.create_task(manager.watch(), name="watchdog"))
-            tasks.append(group.create_task(bus.stay_seen(), name="visibility"))
             await stopping.wait()
             _log.info("mapper.stopping")
             manager.stopping()

@@ -10,10 +10,10 @@ from typing import Annotated, Final
 import msgspec
 
 CLIENT: Final = "client"
-"""For what is asked once: opening fails when nobody is there."""
+"""For what is asked once, and for services that connect to one other: opening fails when nobody is there."""
 
 ROUTER: Final = "router"
-"""For services: starts when nobody is there, connects later, for ever; relays, which peers of Zenoh 1.9 and later do not (ADR 0016)."""
+"""For services that others connect to: starts when nobody is there, connects later, for ever; relays, which peers do not (ADR 0016)."""
 
 SECURE_PREFIXES: Final = ("tls/", "quic/")
 
@@ -78,6 +78,11 @@ class ZenohTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """
 
     open_timeout_ms: Annotated[int, msgspec.Meta(ge=100, le=60_000)] = 700
+
+
+def mode_of_service(*, listen: Sequence[str], connect: Sequence[str]) -> str:
+    """Return the mode of a service's session: a client where it connects to one other and nobody connects to it (ADR 0016)."""
+    return CLIENT if len(connect) == 1 and not listen else ROUTER
 
 
 def tls_problems(tls: TlsTable, *, listen: Sequence[str], connect: Sequence[str]) -> list[str]:

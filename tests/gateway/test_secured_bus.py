@@ -203,7 +203,15 @@ def test_why_nobody_is_connected_is_logged_once_and_so_is_that_somebody_is(tmp_p
 
         with open_service(listen=[], connect=connect, tls=tls) as session:
             facts = check_tls_files(tls, roles=(Role.GATEWAY,), site="demo", name="base1").facts
-            watch = ConnectionWatch(session, connect=connect, tls=tls, facts=facts, health=health, patience_s=0.0, ask_again_s=0.0)
+            watch = ConnectionWatch(
+                n_links=lambda: len(session.info.transports()),
+                connect=connect,
+                tls=tls,
+                facts=facts,
+                health=health,
+                patience_s=0.0,
+                ask_again_s=0.0,
+            )
             try:
                 await until(lambda: watch.missing is not None, what="it is known why nobody is connected")
                 await until(lambda: health.counters()["bus.unconnected_looks"] >= 3, what="the reason has been looked for again")
