@@ -18,14 +18,17 @@ _A_PAGE = 512
 """Rows read in one moment of the file: a gateway that writes meanwhile needs no more disk for whoever reads slowly."""
 
 _DOSES = """
-WITH given AS (
-  SELECT id, train_ms > 0 AND NOT EXISTS (
-    SELECT 1 FROM audit u WHERE u.command_id = a.command_id AND u.command_id <> '' AND u.id > a.id AND u.node = a.node
-      AND (u.kind = 'taken_back' OR (u.kind = 'stage' AND u.stage IN ('refused', 'failed')))) AS is_given FROM audit a)
+WITH unsent AS (
+  SELECT command_id, node, max(id) AS last FROM audit
+  WHERE command_id <> '' AND (kind = 'taken_back' OR (kind = 'stage' AND stage IN ('refused', 'failed'))) GROUP BY command_id, node),
+told AS (
+  SELECT node, train_ms, wall_ns, kind, stage, train_ms > 0 AND coalesce(last, 0) < id AS is_given
+  FROM audit LEFT JOIN unsent USING (command_id, node)
+  WHERE command_id <> '' AND node IS NOT NULL)
 SELECT node, sum(is_given), sum(train_ms * is_given), max(CASE WHEN is_given THEN wall_ns END), sum(kind = 'stage' AND stage = 'accepted'),
   sum(kind = 'stage' AND stage = 'biobot_confirmed'), sum(kind = 'stage' AND stage = 'refused'), sum(kind = 'stage' AND stage = 'failed'),
   sum(kind = 'stage' AND stage = 'unknown')
-FROM audit JOIN given USING (id) WHERE command_id <> '' AND node IS NOT NULL GROUP BY node ORDER BY node"""
+FROM told GROUP BY node ORDER BY node"""
 """A train counts from when it is admitted, unless a later row of its command says that it never left."""
 
 
