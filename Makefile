@@ -81,11 +81,20 @@ clocks: venv  ## times of encounters and their bounds against the truth: drift, 
 bench-gateway: venv  ## encounters through a gateway with eight dongles under load: how many, at what cost, how late (minutes; ARGS="--encounters 1e7")
 	$(PY) -m studies.bench_gateway $(ARGS)
 
+bench-stop: venv  ## how soon a stop has left for the dongle, by every way, under load, with a full disk (root for that; minutes; docs/stop.md)
+	$(PY) -m studies.stop_latency $(ARGS)
+
 campaign: venv  ## a whole site lives through 1,000 faults; is every one of 1,000,000 encounters in the store? (an hour; resumable; docs/campaign.md)
 	$(PY) -m studies.campaign $(ARGS)
 
 cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the mapper's store complete again? (root; a minute; docs/zenoh.md)
 	$(PY) -m studies.cut_links $(ARGS)
+
+bench-dead-man: venv  ## kill a commander, cut its link: how soon do those that it moves stand? (links as root; minutes; docs/steering.md)
+	$(PY) -m studies.dead_man $(ARGS)
+
+gate-histories: venv  ## 100,000 random histories of the stimulation gate: is a limit ever exceeded at an electrode? (docs/gate-histories.md; ARGS="--histories 1000")
+	$(PY) -m studies.gate_histories --out artifacts/gate-histories.jsonl $(ARGS)
 
 campaign-walls: venv  ## no insect leaves its arena in 10^9 steps of nasty arenas (an hour; resumable; ARGS="--steps 1e7")
 	$(PY) -m studies.wall_campaign $(ARGS)

@@ -16,6 +16,7 @@ from gateway.commands import (
     configure,
     journal,
     lines,
+    mission,
     pcap,
     ports,
     router,
@@ -40,6 +41,7 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "command": ("command a biobot through a running gateway", asking.add_command_arguments, asking.command),
     "stop": ("stop biobots, or all, through every gateway of a site at once", stop.add_arguments, stop.stop),
     "steer": ("move a biobot by the arrow keys; it is stopped when you leave", steer.add_arguments, steer.steer),
+    "mission": ("start, pause, resume or end a gateway's mission, or show how it stands", mission.add_arguments, mission.mission),
     "status": (
         "how the gateways of a site stand, live on a terminal; exit status 1 where none is heard",
         status.add_arguments,

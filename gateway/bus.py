@@ -129,7 +129,12 @@ class Bus:
             beats = build_key(site=self._site, stream=Stream.BEAT, gateway=ANY)
             tokens = build_token_key(site=self._site, kind=Kind.COMMANDER, name=ANY)
             standing.declare("beats", lambda session: session.declare_subscriber(beats, door.take_beat))
-            standing.declare("commanders", lambda session: session.liveliness().declare_subscriber(tokens, door.take_token, history=True))
+
+            def watch_tokens(session: zenoh.Session) -> zenoh.Subscriber[None]:
+                door.begin_anew()
+                return session.liveliness().declare_subscriber(tokens, door.take_token, history=True)
+
+            standing.declare("commanders", watch_tokens)
         if on_watermark is not None:
             marks = WatermarkDoor(loop=loop, journal=journal, health=health, on_watermark=on_watermark)
             watermarks = build_key(site=self._site, stream=Stream.WATERMARK, gateway=self._gateway, mapper=ANY)

@@ -23,6 +23,9 @@ _MAX_WATERMARKS = 64
 _MAX_COMMANDERS = 256
 """Commanders of a site; one more is not there, so that what it commands is refused."""
 
+_TOLD_AGAIN_S = 1.0
+"""Within this all tokens are told again after their subscriber was declared anew."""
+
 
 class CommanderListener(Protocol):
     """Hears of commanders, in the loop."""
@@ -89,7 +92,15 @@ class CommanderDoor:
         self._listener = listener
         self._lock = threading.Lock()
         self._present: set[str] = set()
+        self._untold: set[str] = set()
+        """Those of before, while it is declared anew, who have not been told of again."""
         self._news: dict[str, _News] = {}
+
+    def begin_anew(self) -> None:
+        """Take note that all tokens that there are will be told again now: who is not told of soon went unseen. From any thread."""
+        with self._lock:
+            self._untold = set(self._present)
+        self._loop.call_soon_threadsafe(self._loop.call_later, _TOLD_AGAIN_S, self._drop_untold)
 
     def take_token(self, sample: zenoh.Sample) -> None:
         """Runs on a thread of Zenoh."""
@@ -109,6 +120,7 @@ class CommanderDoor:
                 self._present.remove(name)
             else:
                 return
+            self._untold.discard(name)
             is_first, news = not self._news, self._news.setdefault(name, _News())
             if is_there:
                 news.came = True
@@ -131,6 +143,14 @@ class CommanderDoor:
             news.beat = (beat.number, time.monotonic_ns())
         if is_first:
             self._loop.call_soon_threadsafe(self._hand_over)
+
+    def _drop_untold(self) -> None:
+        with self._lock:
+            untold, self._untold = self._untold, set()
+            self._present -= untold
+            for name in untold:
+                self._news[name] = _News(went=True)
+        self._hand_over()
 
     def _hand_over(self) -> None:
         with self._lock:

@@ -18,6 +18,8 @@ _log = EventLog(__name__)
 LATE_TOKEN_S: Final = 0.3
 """A command may overtake its commander's token on the way through routers; it is waited for so long."""
 
+_MAX_WAITERS: Final = 256
+
 GoneListener = Callable[[str, str], None]
 """Hears a commander's name, and why it is taken to be gone."""
 
@@ -59,9 +61,9 @@ class Commanders:
         return known is not None and not known.is_silent
 
     async def wait_for(self, name: str, *, timeout_s: float) -> bool:
-        """Return whether a commander is there, or comes in time."""
-        if self.is_there(name):
-            return True
+        """Return whether a commander is there, or comes in time; where too many wait already, whether it is there now."""
+        if self.is_there(name) or len(self._arrivals) >= _MAX_WAITERS:
+            return self.is_there(name)
         arrival = asyncio.Event()
         self._arrivals.append(arrival)
         try:

@@ -156,22 +156,32 @@ class BackpackTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class MissionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The exploration protocol of [Dir16] IV.
+    """The exploration protocol of [Dir16] IV (docs/mission.md).
 
     Keys
     ----
     is_enabled
-        Run the mission.
+        Begin the mission when the first biobot is heard; else it waits until it is ordered to start.
     dispersion_s
         How long all walk before landmarks are chosen.
     n_landmarks
         How many landmarks; 0: a share of the biobots.
     landmark_share
-        That share.
+        That share; [Dir16] takes 0.1 to 0.2.
     selection_timeout_s
         How long neighbour reports of the biobots are waited for after dispersion.
     exploration_s
-        How long exploration lasts; 0: until the gateway stops.
+        How long exploration lasts, over all rounds; 0: until it is ended.
+    redisperse_every_s
+        After so much exploration all walk again, and other landmarks are chosen; 0: never.
+    candidate_silence_s, neighbours_age_s
+        A biobot that was not heard for so long is no candidate, nor one whose neighbour report is older than this.
+    min_battery_mv
+        A biobot whose battery is below is no candidate, and a landmark whose is gets replaced; 0: whatever its battery.
+    landmark_silence_s
+        A landmark that was not heard for so long is replaced.
+    contradiction_gap_s
+        Two landmarks that begin to meet although they stand, and had not met for so long, contradict each other: one has moved.
     """
 
     is_enabled: bool = False
@@ -180,6 +190,12 @@ class MissionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     landmark_share: Annotated[float, msgspec.Meta(gt=0, le=0.5)] = 0.15
     selection_timeout_s: _Seconds = 30.0
     exploration_s: Annotated[float, msgspec.Meta(ge=0, le=604_800)] = 0.0
+    redisperse_every_s: Annotated[float, msgspec.Meta(ge=0, le=604_800)] = 0.0
+    candidate_silence_s: _Seconds = 120.0
+    neighbours_age_s: _Seconds = 120.0
+    min_battery_mv: Annotated[int, msgspec.Meta(ge=0, le=20_000)] = 0
+    landmark_silence_s: _Seconds = 180.0
+    contradiction_gap_s: _Seconds = 300.0
 
 
 class RecordingTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

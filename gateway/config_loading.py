@@ -163,6 +163,16 @@ def _pulse_problems(table: StimulationTable) -> Iterator[Unfit]:
             keys=("stimulation.pulse_width_us", "stimulation.frequency_hz", "stimulation.waveform"),
             reason=f"stimulation.pulse_width_us is {table.pulse_width_us}, but {limit}",
         )
+    for key, least, most in (
+        ("frequency_hz", table.min_frequency_hz, table.max_frequency_hz),
+        ("amplitude_mv", 0, table.max_amplitude_mv),
+        ("pulse_width_us", 0, table.max_pulse_width_us),
+        ("duration_ms", 0, table.max_duration_ms),
+    ):
+        value = getattr(table, key)
+        if not least <= value <= most:
+            keys = (f"stimulation.{key}", f"stimulation.max_{key}", *(["stimulation.min_frequency_hz"] if least else []))
+            yield Unfit(keys=keys, reason=f"stimulation.{key} is {value}, but its own limits are {least} to {most}; change it, or them")
     if _LAST_CHANNEL < table.channel < OWN_CHANNEL:
         limit = f"a backpack has channels 0 to {_LAST_CHANNEL}; {OWN_CHANNEL} leaves it to the backpack"
         yield Unfit(keys=("stimulation.channel",), reason=f"stimulation.channel is {table.channel}, but {limit}")

@@ -1,8 +1,8 @@
 """What was heard and decided, on disk before anyone is told (SQLite, WAL, synchronous=FULL, group commit).
 
 Writes are taken in order and committed in groups: while one group is being synced, the next one gathers, so a lone write waits
-for nothing and a flood shares its syncs. A commit that fails (full disk) is tried again until it succeeds: nothing behind it
-is published or acknowledged in between, and nothing is lost. A write that can never be stored costs itself alone.
+for nothing and a flood shares its syncs (``commit_pace``). A commit that fails (full disk) is tried again until it succeeds: nothing
+behind it is published or acknowledged in between, and nothing is lost. A write that can never be stored costs itself alone.
 """
 
 import asyncio
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Self
 
 from firmware_protocol.units import BootId
+from gateway.commit_pace import CommitPace
 from gateway.errors import JournalFullError
 from gateway.health import Health
 from gateway.journal_file import (
@@ -54,7 +55,6 @@ _UNSTORABLE = (OverflowError, TypeError, ValueError, struct.error)
 
 _MACHINE_BOOT = Path("/proc/sys/kernel/random/boot_id")
 _FIRST_RETRY_S, _MAX_RETRY_S = 0.1, 2.0
-
 _KEEP_ALL = Retention()
 _TIDY_PERIOD_S, _TIDY_AGAIN_S = 1.0, 0.02
 _TIDY_AFTER = 64
@@ -63,11 +63,8 @@ _TIDY_AFTER = 64
 _ALARM_PERIOD_S = 60.0
 """Records that a mapper lacks and that go are told of once in so long; they are counted all the while."""
 
-_MAX_TOLD_DAMAGE = 1024
-"""Damaged segments that are told of, once each."""
-
-_MAX_MAPPERS = 64
-"""Mappers whose progress is remembered."""
+_MAX_TOLD_DAMAGE, _MAX_MAPPERS = 1024, 64
+"""Damaged segments that are told of, once each; and mappers whose progress is remembered."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -87,12 +84,11 @@ class Journal:
     """The journal of a running gateway; see the module's description. Belongs to one event loop."""
 
     def __init__(self, *, path: Path, file: JournalFile, health: Health, retention: Retention = _KEEP_ALL) -> None:
-        self._path = path
-        self._file = file
-        self._health = health
+        self._path, self._file, self._health = path, file, health
         self._groups: deque[_Group] = deque()
         self._n_waiting = 0
         self._wake = asyncio.Event()
+        self._pace = CommitPace()
         self._head_offset = file.identity.head_offset
         self._next_offset = self._head_offset + 1
         self._oldest_offset = file.oldest_offset()
@@ -105,11 +101,9 @@ class Journal:
         self._retention = retention
         self._watermarks = file.watermarks()
         self._new_watermarks: dict[str, int] = {}
-        self._tidied_at = 0.0
-        self._n_untidied = 0
+        self._tidied_at, self._n_untidied = 0.0, 0
         self._is_oversized = False
-        self._n_undelivered = 0
-        self._undelivered_told_at = -_ALARM_PERIOD_S
+        self._n_undelivered, self._undelivered_told_at = 0, -_ALARM_PERIOD_S
         self._is_behind = self._is_behind_untold = False
         self._damage_told: set[int] = set()
         self._on_alarm: Callable[[str, Mapping[str, str]], None] | None = None
@@ -135,6 +129,11 @@ class Journal:
     def boot(self) -> BootId:
         """Number of this start of the gateway, larger than every earlier one."""
         return self._file.identity.boot
+
+    @property
+    def ran_ns(self) -> int:
+        """How long gateways have run on this journal [ns]; after a process was killed, as far as was written down."""
+        return self._file.ran_ns()
 
     @property
     def head_offset(self) -> int:
@@ -224,6 +223,7 @@ class Journal:
         group = self._add(write, failing=done)
         if group is not None:
             group.waiting.append(done)
+            self._pace.hurry()
         return done
 
     def join(self, write: JournalWrite) -> asyncio.Future[None]:
@@ -241,9 +241,8 @@ class Journal:
     def barrier(self) -> asyncio.Future[None]:
         """Return a future that resolves when all that was appended so far is on disk, but for what can never be stored."""
         if self._last_group is None:
-            done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-            done.set_result(None)
-            return done
+            self._last_group = asyncio.get_running_loop().create_future()
+            self._last_group.set_result(None)
         return self._last_group
 
     async def run(self) -> None:
@@ -258,6 +257,7 @@ class Journal:
                     continue
             self._wake.clear()
             while self._groups:
+                await self._pace.wait(is_urgent=bool(self._groups[0].waiting) or len(self._groups) > 1)
                 group = self._groups.popleft()
                 if group.segment.n_writes:
                     await self._commit(group)
@@ -267,6 +267,7 @@ class Journal:
     async def drain(self) -> None:
         """Wait until all that was appended is on disk."""
         while self._n_waiting:
+            self._pace.hurry()
             await self.barrier()
 
     def close(self) -> None:
@@ -302,10 +303,9 @@ class Journal:
 
     async def _commit(self, group: _Group) -> None:
         """Commit a group in one transaction, as often as it takes, then tell of it."""
-        loop = asyncio.get_running_loop()
-        segment = group.segment
-        retry_s = _FIRST_RETRY_S
+        loop, segment, retry_s = asyncio.get_running_loop(), group.segment, _FIRST_RETRY_S
         self._commit_begun_s = time.monotonic()
+        self._pace.begin(segment.n_writes, now_s=loop.time())
         while True:
             try:
                 await asyncio.shield(loop.run_in_executor(self._executor, self._file.commit, segment))

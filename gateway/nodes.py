@@ -93,6 +93,8 @@ class Node:
     """Unwrapped sequence number of ``status``, in this boot; the same of ``neighbours``, of its last part."""
     neighbours: tuple[NeighbourEntry, ...] | None = None
     neighbours_number: int | None = None
+    neighbours_ns: int = 0
+    """When the last part of ``neighbours`` came [monotonic]."""
     parts: dict[int, tuple[int, Neighbours]] = field(default_factory=dict)
     limits: Limits | None = None
     configuration: ConfigurationReport | None = None
@@ -292,6 +294,7 @@ class NodeBook:
         if node.neighbours_number is not None and first < node.neighbours_number:
             return None  # it was repeated, and a later report came before it
         node.neighbours_number = first + part.n_parts - 1
+        node.neighbours_ns = node.last_heard_ns
         heard: dict[NodeId, RssiDbm] = {}
         for one in (neighbour for member in found for neighbour in member.neighbours):
             heard[one.node] = strongest(one.rssi_dbm, heard.get(one.node, one.rssi_dbm))

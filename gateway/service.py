@@ -12,7 +12,6 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
-from firmware_protocol.contract.commands import StimulationRequest
 from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, NodeStatus
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
@@ -21,15 +20,12 @@ from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.acknowledger import Acknowledger
 from gateway.audit_log import AuditLog
 from gateway.bus import Bus
-from gateway.bus_commands import CommandAnswer
 from gateway.clocks import ClockBook
-from gateway.commanders import LATE_TOKEN_S, Commanders
+from gateway.commanding import Commanding
 from gateway.config import GatewayConfig, LinkTable
 from gateway.config_loading import read_address
 from gateway.configurator import Configurator
-from gateway.control_book import ControlBook
 from gateway.coordinator import Coordinator
-from gateway.dead_man import DeadMan
 from gateway.downlink import DownlinkSender
 from gateway.health import Health, RadioState
 from gateway.inquiries import Inquirer
@@ -37,6 +33,7 @@ from gateway.intake import Intake, IntakeListeners
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
 from gateway.journal_file import Retention
+from gateway.line_pace import LinePace
 from gateway.log import EventLog, log_what_nobody_caught
 from gateway.mission import Mission
 from gateway.monitor.server import Monitor
@@ -47,7 +44,7 @@ from gateway.service_manager import ServiceManager
 from gateway.stimulation import StimulationGate
 from gateway.transports.can_port import CanBuses
 from gateway.transports.fair_share import BEGUN, FairShare, LoopLoad
-from gateway.transports.spec import PortSpec, can_reset, parse_port_spec
+from gateway.transports.spec import PortSpec, bytes_per_s, can_reset, parse_port_spec
 from gateway.vitals import Vitals
 
 _log = EventLog(__name__)
@@ -58,9 +55,6 @@ _SWITCH_S = 0.0005
 """A thread that wants to go on while the loop is busy waits so long for the interpreter. A commit asks for it some times over; with
 Python's 5 ms each, commits took 20 ms under load instead of 3, and a dongle with 16 unconfirmed payloads stood still for as long
 (measured 2026-11)."""
-
-_REMEMBERED_STAGES = 30_000
-"""So many stages of commands are looked through at a start for biobots that were under control when the gateway ended."""
 
 _DRAIN_TIMEOUT_S = 5.0
 _CANCEL_AGAIN_S = 0.5
@@ -75,7 +69,6 @@ class Service:
         self._vitals = Vitals(health=self._health, journal=Path(config.journal), connect=config.connect)
         self._manager = manager or ServiceManager(address=None)
         self._stopping = asyncio.Event()
-        self._command_tasks: set[asyncio.Task[None]] = set()
 
     def stop(self) -> None:
         """Have ``run`` finish what is under way and return."""
@@ -167,6 +160,7 @@ class Service:
                 health=health.of_radio(name),
                 first_session=journal.identity.first_session,
                 on_state=partial(self._on_radio_state, bus),
+                pace=LinePace(bytes_per_s=bytes_per_s(spec)),
             )
             for name, spec in ports.items()
         }
@@ -182,37 +176,10 @@ class Service:
             first_token=journal.identity.first_session,
         )
         audit = AuditLog(journal=journal, reader=reader, health=health)
-        book = ControlBook()
-        commanders = Commanders(silence_s=config.stimulation.commander_silence_s, health=health, notes=audit)
-        gate = StimulationGate(
-            gateway=config.name,
-            config=config.stimulation,
-            sender=sender,
-            nodes=nodes,
-            journal=journal,
-            reader=reader,
-            health=health,
-            instant_of=journal.identity.instant_of,
-            radio_timeout_s=config.link.radio_timeout_s,
-            is_commander_there=commanders.is_there,
-            controlled=lambda: book.controlled,
-            controller_of=book.operator_of,
-            on_repeated=audit.note_repeated,
+        commanding = Commanding.wire(
+            config=config, journal=journal, reader=reader, nodes=nodes, sender=sender, audit=audit, bus=bus, health=health
         )
-        dead_man = DeadMan(
-            gate=gate,
-            book=book,
-            commanders=commanders,
-            can_reach=sender.can_reach,
-            last_heard_ns=nodes.last_heard_ns,
-            notes=audit,
-            health=health,
-            boot=journal.boot,
-        )
-        dead_man.restore(reader.read_last_stages(limit=_REMEMBERED_STAGES))
-        gate.listen(dead_man.hear)
-        gate.listen(lambda _request, stage: bus.publish_stage(stage))
-        gate.listen_to_accounts(bus.publish_account)
+        gate = commanding.gate
         intake.connect(
             IntakeListeners(
                 on_committed=acknowledger.mark,
@@ -226,6 +193,19 @@ class Service:
                 on_unknown_clock=inquirer.note_refused,
             )
         )
+        mission = Mission(
+            config=config.mission,
+            issuer=issuer,
+            journal=journal,
+            reader=reader,
+            nodes=nodes,
+            handle=gate.handle,
+            health=health,
+            note=audit.note,
+            on_event=partial(self._publish_event, bus),
+        )
+        gate.listen(mission.on_stage)
+        journal.listen(mission.take_records)
         journal.listen(bus.publish_records)
         journal.listen(lambda committed: self._vitals.take_records(committed.records, committed.head_offset))
         journal.listen_for_fault(partial(self._on_journal_fault, bus))
@@ -237,11 +217,12 @@ class Service:
                 audit.begin({"name": config.name, "site": config.site, "version": version("biobot-gateway"), "ports": config.ports})
                 audit.note_limits(config.stimulation)
                 bus.start(
-                    on_command=partial(self._on_command, gate, commanders, tasks),
+                    on_command=partial(commanding.take, tasks),
+                    on_order=lambda order, answer: mission.take_order(order, answer.tell),
                     on_turned_away=audit.turn_away,
                     open_reader=journal.reader,
                     journal=journal.journal_id,
-                    commanders=commanders,
+                    commanders=commanding.commanders,
                     on_watermark=journal.note_watermark,
                     on_damage=journal.note_damage,
                 )
@@ -250,34 +231,29 @@ class Service:
                 running.append(tasks.create_task(self._publish_status(bus, intake, nodes)))
                 running.append(tasks.create_task(acknowledger.run()))
                 running.append(tasks.create_task(inquirer.run()))
-                running.append(tasks.create_task(dead_man.run()))
+                running.append(tasks.create_task(commanding.dead_man.run()))
                 running.append(tasks.create_task(configurator.run()))
-                if config.mission.is_enabled:
-                    mission = Mission(
-                        config=config.mission, issuer=issuer, journal=journal, reader=reader, nodes=nodes, gate=gate, health=health
-                    )
-                    running.append(tasks.create_task(mission.run()))
+                running.append(tasks.create_task(mission.run()))
                 running += [tasks.create_task(coordinator.run()) for coordinator in coordinators.values()]
                 _log.info("gateway.started", name=config.name, site=config.site, journal=journal.journal_id, boot=journal.boot)
                 self._manager.ready()
                 if on_ready is not None:
                     on_ready()
                 await self._stopping.wait()
-                await self._wind_down(running, gate, dead_man, audit)
+                await self._wind_down(running, commanding, audit)
                 for task in signs_of_life:
                     task.cancel()
         finally:
             reader.close()
 
-    async def _wind_down(self, running: list[asyncio.Task[None]], gate: StimulationGate, dead_man: DeadMan, audit: AuditLog) -> None:
+    async def _wind_down(self, running: list[asyncio.Task[None]], commanding: Commanding, audit: AuditLog) -> None:
         """Stop in the reverse order of the start; the journal, started first, is drained before it ends."""
         _log.info("gateway.stopping")
         self._vitals.is_stopping = True
         self._manager.stopping()
-        await dead_man.wind_down(self._config.stimulation.on_shutdown)
-        gate.abandon()
+        command_tasks = await commanding.wind_down(self._config)
         journal_task, *others = running
-        others += self._command_tasks
+        others += command_tasks
         pending = set(others)
         while pending:
             # A cancellation that meets a port's closing in the same step is lost (Python 3.11): it is asked for again.
@@ -291,13 +267,6 @@ class Service:
         except TimeoutError:
             _log.error("gateway.undrained", reason=self._journal.fault or "slow disk", seconds=_DRAIN_TIMEOUT_S)
         journal_task.cancel()
-
-    def _on_command(
-        self, gate: StimulationGate, commanders: Commanders, tasks: asyncio.TaskGroup, request: StimulationRequest, answer: CommandAnswer
-    ) -> None:
-        task = tasks.create_task(_take_command(gate, commanders, request, answer))
-        self._command_tasks.add(task)
-        task.add_done_callback(self._command_tasks.discard)
 
     def _on_status(self, bus: Bus, gate: StimulationGate, status: NodeStatus) -> None:
         gate.on_mode(status.node, status.mode)
@@ -368,13 +337,6 @@ class Service:
             )
             await asyncio.sleep(_STATUS_PERIOD_S)
             intake.forget_old(now_ns=time.monotonic_ns())
-
-
-async def _take_command(gate: StimulationGate, commanders: Commanders, request: StimulationRequest, answer: CommandAnswer) -> None:
-    if request.commander and not commanders.is_there(request.commander):
-        # Its token may be on its way still; the gate refuses what comes without one.
-        await commanders.wait_for(request.commander, timeout_s=min(LATE_TOKEN_S, request.ttl_ms / 1000))
-    await gate.handle(request, answer.tell)
 
 
 async def run_gateway(config: GatewayConfig) -> None:

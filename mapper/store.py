@@ -225,7 +225,11 @@ class Store:
         time in which nobody stood still ([Dir16] IV: time 0 is the moment the landmarks are set).
         """
         self._settle_clocks()
-        begun = [wall_interval(record)[0] for record in self._site.missions.values() if record.phase is MissionPhase.EXPLORATION]
+        begun = [
+            wall_interval(record)[0]
+            for record in self._site.missions.values()
+            if record.phase is MissionPhase.EXPLORATION and not record.is_continued  # the landmarks stood during a pause
+        ]
         return StoreDelta(
             base=after,
             change=self._progress.change,

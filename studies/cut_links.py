@@ -13,16 +13,16 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-_PREFIX = "biobotcut"
-_NET = "10.213.77"
+from studies.namespaces import Namespaces
+
 _HOSTS = {"router": 1, "publisher": 2, "subscriber": 3}
-_ENDPOINT = f"tcp/{_NET}.1:7447"
+_NETWORK = "10.213.77"
+_ENDPOINT = f"tcp/{_NETWORK}.1:7447"
 _PERIOD_S = 0.005
 _LIMIT_S = 15.0
 GOAL_S = 1.0
@@ -40,7 +40,8 @@ class Fault:
 class Network:
     """Three namespaces on a bridge in a fourth, and a program in each."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, spaces: Namespaces) -> None:
+        self.spaces = spaces
         self._directory = directory
         self._programs: dict[str, subprocess.Popen[str]] = {}
 
@@ -48,7 +49,7 @@ class Network:
         """Start a program in its namespace and wait until it says that it is up."""
         ends = [sys.executable, "-m", "studies.cut_link_ends", role, _ENDPOINT, str(self.path(role)), str(_PERIOD_S)]
         router = [sys.executable, "-m", "gateway", "router", "--listen", _ENDPOINT]
-        command = ["ip", "netns", "exec", _name(role), *(router if role == "router" else ends)]
+        command = self.spaces.command(role, router if role == "router" else ends)
         program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE if role == "router" else None, text=True)
         self._programs[role] = program
         told = program.stderr if role == "router" else program.stdout
@@ -85,8 +86,8 @@ def main() -> int:
         return 0
     worst_s = 0.0
     print(f"{'fault':<34} {'lasting':>8} {'complete after':>15} {'published':>10}")
-    with TemporaryDirectory() as directory, _namespaces():
-        network = Network(Path(directory))
+    with TemporaryDirectory() as directory, Namespaces(prefix="biobotcut", network=_NETWORK, hosts=_HOSTS) as spaces:
+        network = Network(Path(directory), spaces)
         try:
             for role in ("publisher", "subscriber", "router"):
                 network.start(role)
@@ -135,58 +136,19 @@ def _read(path: Path) -> list[tuple[int, float]]:
     ]
 
 
-def _set_link(role: str, state: str) -> Callable[[Network], None]:
-    return lambda _network: _ip("-n", _name("bridge"), "link", "set", f"to-{role}"[:15], state)
+def _pulled(host: str) -> Fault:
+    return Fault(f"{host}'s cable pulled", lambda network: network.spaces.pull(host), lambda network: network.spaces.plug(host))
 
 
-def _set_port(role: str, *state: str) -> Callable[[Network], None]:
-    """Take a port off the bridge, or put it back: both ends keep their carrier, and packets vanish without a word."""
-    return lambda _network: _ip("-n", _name("bridge"), "link", "set", f"to-{role}"[:15], *state)
+def _swallowed(host: str) -> Fault:
+    return Fault(f"{host}'s packets vanish", lambda network: network.spaces.swallow(host), lambda network: network.spaces.pass_on(host))
 
 
 FAULTS: Sequence[Fault] = (
     Fault("router killed, started again", lambda network: network.kill("router"), lambda network: network.start("router")),
-    Fault("publisher's cable pulled", _set_link("publisher", "down"), _set_link("publisher", "up")),
-    Fault("subscriber's cable pulled", _set_link("subscriber", "down"), _set_link("subscriber", "up")),
-    Fault("router's cable pulled", _set_link("router", "down"), _set_link("router", "up")),
-    Fault("publisher's packets vanish", _set_port("publisher", "nomaster"), _set_port("publisher", "master", "br0")),
-    Fault("router's packets vanish", _set_port("router", "nomaster"), _set_port("router", "master", "br0")),
+    *map(_pulled, ("publisher", "subscriber", "router")),
+    *map(_swallowed, ("publisher", "router")),
 )
-
-
-@contextmanager
-def _namespaces() -> Iterator[None]:
-    names = [_name("bridge"), *(_name(role) for role in _HOSTS)]
-    try:
-        for name in names:
-            _ip("netns", "add", name)
-        _ip("-n", _name("bridge"), "link", "add", "br0", "type", "bridge")
-        _ip("-n", _name("bridge"), "link", "set", "br0", "up")
-        for role, number in _HOSTS.items():
-            here = f"to-{role}"[:15]
-            _ip("-n", _name("bridge"), "link", "add", here, "type", "veth", "peer", "name", "eth0", "netns", _name(role))
-            _ip("-n", _name("bridge"), "link", "set", here, "master", "br0", "up")
-            _ip("-n", _name(role), "address", "add", f"{_NET}.{number}/24", "dev", "eth0")
-            for device in ("lo", "eth0"):
-                _ip("-n", _name(role), "link", "set", device, "up")
-        yield
-    finally:
-        for name in names:
-            subprocess.run(["ip", "netns", "delete", name], check=False, capture_output=True)
-
-
-def _name(role: str) -> str:
-    return f"{_PREFIX}-{role}"
-
-
-def _ip(*arguments: str) -> None:
-    _run("ip", *arguments)
-
-
-def _run(*command: str) -> None:
-    result = subprocess.run(command, check=False, capture_output=True, text=True)
-    if result.returncode:
-        raise RuntimeError(f"{' '.join(command)}: {result.stderr.strip() or 'failed'}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,9 @@
 """What an operator orders the mission to do, and what the gateway answers (CONTRACT.md §4)."""
 
 from enum import Enum
+from typing import Annotated
+
+import msgspec
 
 from firmware_protocol.contract.commands import CommandId, OperatorName
 from firmware_protocol.contract.records import MissionPhase, Struct
@@ -21,6 +24,8 @@ class MissionAction(Enum):
     """Let the landmarks walk again, and choose others after a dispersion."""
     FINISH = "finish"
     """The mission is done. Landmarks stay where they are."""
+    SHOW = "show"
+    """Change nothing; tell how it stands."""
 
 
 class MissionOrder(Struct, frozen=True, kw_only=True):
@@ -30,7 +35,7 @@ class MissionOrder(Struct, frozen=True, kw_only=True):
     action: MissionAction
     operator: OperatorName
     issued_wall_ns: Nanoseconds
-    ttl_ms: int = 5_000
+    ttl_ms: Annotated[int, msgspec.Meta(ge=1, le=60_000)] = 5_000
 
 
 class MissionAnswer(Struct, frozen=True, kw_only=True):
@@ -42,3 +47,9 @@ class MissionAnswer(Struct, frozen=True, kw_only=True):
     phase: MissionPhase
     landmarks: tuple[NodeId, ...] = ()
     reason: str = ""
+    round: int = 0
+    """Dispersions of this mission so far."""
+    remaining_s: float | None = None
+    """Until the phase ends by itself; None: it does not, or not by time."""
+    possible: tuple[MissionAction, ...] = ()
+    """Orders that would be taken now."""

@@ -119,13 +119,67 @@ class ModeRecord(RecordHead, frozen=True, kw_only=True, tag="mode"):
     error_ns: Nanoseconds
 
 
+class LandmarkCluster(Struct, frozen=True, kw_only=True):
+    """A connected part of the communication graph, and the landmarks that it gave."""
+
+    size: _Count
+    picks: tuple[NodeId, ...]
+    """In the order of choice."""
+    radius: _Count
+    """No biobot of it is more hops away from a pick; 0 where it gave none."""
+
+
+class LandmarkChoice(Struct, frozen=True, kw_only=True):
+    """Who was chosen to stand still, and out of whom."""
+
+    n_wanted: _Count
+    candidates: tuple[NodeId, ...]
+    left_out: dict[str, tuple[NodeId, ...]] = {}
+    """Why, and who."""
+    clusters: tuple[LandmarkCluster, ...] = ()
+    awaited: tuple[NodeId, ...] = ()
+    """Asked to stand still, and not known to yet."""
+    failed: tuple[NodeId, ...] = ()
+    """Did not do so."""
+
+
+class LandmarkChange(Struct, frozen=True, kw_only=True):
+    """A landmark is one no more."""
+
+    node: AnyNode
+    replacement: AnyNode | None
+    """None: nobody could take its place."""
+    reason: str
+    wall_ns: Nanoseconds
+
+
 class MissionRecord(RecordHead, frozen=True, kw_only=True, tag="mission"):
-    """A phase of the mission began at ``t_start_ns``."""
+    """A phase of the mission began at ``t_start_ns``; a revision tells how its landmarks changed meanwhile."""
 
     phase: MissionPhase
     t_start_ns: Nanoseconds
     landmarks: tuple[NodeId, ...] = ()
     reason: str = ""
+    operator: str = ""
+    """Who ordered it; empty: the mission went on by itself, or the gateway is older than this field, as all below."""
+    order_id: str = ""
+    round: _Count = 0
+    """Dispersions of this mission so far."""
+    is_continued: bool = False
+    """It goes on after a pause: time 0 is that of the record before the pause."""
+    interrupted: MissionPhase | None = None
+    """Of a pause: what it interrupts."""
+    choice: LandmarkChoice | None = None
+    changes: tuple[LandmarkChange, ...] = ()
+    """The newest ones, oldest first."""
+    releasing: dict[int, int] = {}
+    """Who is to be let walk again, and when that was decided, as ``ran_ns``."""
+    ran_ns: int | None = None
+    """How long gateways had run on the journal when it began [ns]; the lengths of phases are told by that clock."""
+    spent_ns: int = 0
+    """How long the phase had run before, up to a pause [ns]."""
+    explored_ns: int = 0
+    """How long the explorations of earlier rounds were, together [ns]."""
 
 
 JournalRecord: TypeAlias = EncounterRecord | ModeRecord | MissionRecord

@@ -146,6 +146,10 @@ class JournalFile:
         """Return the first offset that the file still has, or will have."""
         return oldest_offset(self._connection)
 
+    def ran_ns(self) -> int:
+        """Return how long gateways have run on this journal [ns]."""
+        return self._ran_until_now_ns + max(0, self._clock() - self._opened_ns)
+
     def _write_progress(self, watermarks: Mapping[str, int], *, ran_ns: int, is_behind: bool) -> None:
         for mapper, offset in watermarks.items():
             values = (mapper, offset, self._wall_clock(), ran_ns)
@@ -157,8 +161,7 @@ class JournalFile:
             self._told_ran_ns = ran_ns
 
     def _stamp(self) -> Stamp:
-        ran_ns = self._ran_until_now_ns + max(0, self._clock() - self._opened_ns)
-        return Stamp(ran_ns=ran_ns, boot=self.identity.boot, wall_ns=self._wall_clock())
+        return Stamp(ran_ns=self.ran_ns(), boot=self.identity.boot, wall_ns=self._wall_clock())
 
     def close(self) -> None:
         """Close the file and let others have it."""

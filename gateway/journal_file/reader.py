@@ -121,12 +121,9 @@ class JournalReader:
         begins = self._begins()
         return [record for record in self._states(MODE, limit) if isinstance(record, ModeRecord) and record.offset >= begins]
 
-    def read_last_mission(self) -> MissionRecord | None:
-        """Return the phase that began last, or None where no mission has run."""
-        for record in self._states(MISSION, 1):
-            if isinstance(record, MissionRecord):
-                return record
-        return None
+    def read_recent_missions(self, *, limit: int) -> list[MissionRecord]:
+        """Return the newest ``limit`` records of the mission, in the order of their offsets: phases, and their revisions."""
+        return [record for record in self._states(MISSION, limit) if isinstance(record, MissionRecord)]
 
     def read_pair(self, *, node_a: NodeId, node_b: NodeId, from_wall_ns: int, to_wall_ns: int) -> list[EncounterRecord]:
         """Return all revisions of a pair's encounters that overlap a time, in the order of their offsets.
@@ -205,10 +202,6 @@ class JournalReader:
         """
         rows = self._connection.execute(_NEWEST_AUDIT, (limit, _RECENT_TRAINS_NS))
         return map(entry_of, rows)
-
-    def read_last_stages(self, *, limit: int) -> list[AuditEntry]:
-        """Return the newest stages of commands, in order."""
-        return self._audit("WHERE command_id <> '' ORDER BY id DESC LIMIT ?", (limit,))[::-1]
 
     def read_last_audit(self, *, kind: str, node: NodeId | None = None) -> AuditEntry | None:
         """Return the newest entry of a kind, of a biobot where one is named; not for stages of commands, which are many."""

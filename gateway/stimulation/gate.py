@@ -5,7 +5,6 @@ its outcome is unknown, and says so. A stop is sent first and journaled after, w
 that waits, and again until it is confirmed.
 """
 
-import asyncio
 import contextlib
 import secrets
 import sqlite3
@@ -20,9 +19,8 @@ from firmware_protocol.errors import RecordError
 from firmware_protocol.messages import StimulateReply
 from firmware_protocol.units import EVERYBODY, NS_PER_S, NodeId
 from gateway.config import StimulationTable
-from gateway.errors import JournalFullError
 from gateway.health import Health
-from gateway.journal_file import STAGE, AuditEntry, JournalWrite
+from gateway.journal_file import STAGE, AuditEntry
 from gateway.log import EventLog
 from gateway.nodes import NodeBook
 from gateway.stimulation.accounts import Accounts
@@ -30,9 +28,11 @@ from gateway.stimulation.admission import Circumstances, admit, unknown_biobot
 from gateway.stimulation.answers import AnswerKeeper, is_done
 from gateway.stimulation.commands import Command, CommandBook
 from gateway.stimulation.effects import Effects
+from gateway.stimulation.guards import Guards
 from gateway.stimulation.ledger import Train, TrainLedger
+from gateway.stimulation.numbers import GATE, WireNumbers, was_killed
 from gateway.stimulation.outside import AccountListener, AuditReader, CommandJournal, CommandListener, CommandSender, StageListener
-from gateway.stimulation.restoring import CLOSED, GATE, OPENED, restore_trains, was_killed
+from gateway.stimulation.restoring import restore_trains
 from gateway.stimulation.stimuli import Flight, Stimuli
 from gateway.stimulation.stop_all import StopAll
 from gateway.stimulation.stops import Stops
@@ -43,12 +43,6 @@ _log = EventLog(__name__)
 
 _RESTORED_ROWS = 100_000
 """Newest rows of the audit log that accounts are made of after a restart."""
-
-_SKIPPED_NUMBERS = 1 << 16
-"""Numbers on the wire that a restart leaves out: the process before may have sent stops that did not come to disk, and a backpack takes a
-command of a number that it knows for a repetition."""
-
-_N_NUMBERS = 1 << 32
 
 _WAS_STOPPED = "the gateway was stopped before the answer came; it may have been obeyed"
 
@@ -113,13 +107,28 @@ class StimulationGate:
         self._teller = teller = StageTeller(gateway=gateway, journal=journal, health=health, now_ns=now_ns, wall_clock=wall_clock)
         teller.listen_to_rows(self._account_for)
         self._answers = answers = AnswerKeeper(teller=teller, ledger=ledger, now_ns=now_ns)
+        self._restore(instant_of)
+        last = reader.read_last_wire_command()
+        self._numbers = WireNumbers(journal=journal, last=last, draw=new_number, now_ns=now_ns, wall_clock=wall_clock)
+        guards = Guards(
+            table=config,
+            sender=sender,
+            book=self._book,
+            teller=teller,
+            answers=answers,
+            health=health,
+            now_ns=now_ns,
+            take_number=self._numbers.take,
+        )
         self._stimuli = Stimuli(
             table=config,
             radio_timeout_s=radio_timeout_s,
             sender=sender,
+            nodes=nodes,
             ledger=ledger,
             teller=teller,
             answers=answers,
+            guards=guards,
             now_ns=now_ns,
             wall_clock=wall_clock,
             journal_fault=lambda: journal.fault,
@@ -132,6 +141,7 @@ class StimulationGate:
             ledger=ledger,
             teller=teller,
             answers=answers,
+            guards=guards,
             health=health,
             now_ns=now_ns,
             are_trains_allowed=self._may_stops_give_trains,
@@ -147,11 +157,6 @@ class StimulationGate:
             now_ns=now_ns,
             controlled=controlled,
         )
-        last = reader.read_last_wire_command()
-        # A new journal must not begin at a number that a backpack remembers from an old one.
-        self._next_number = new_number() if last is None else last + _SKIPPED_NUMBERS
-        self._restore(instant_of)
-        self._opened = self._write_gate(OPENED)
 
     def listen(self, listener: CommandListener) -> None:
         """Have ``listener(request, stage)`` called in the loop with every stage of every command, whoever gave it."""
@@ -216,7 +221,7 @@ class StimulationGate:
             else:
                 reason = "the gateway ends, and it was not sent; send it when it runs again"
                 self._teller.tell(command, Stage.REFUSED, reason=reason, refusal=Refusal.STOPPING)
-        self._write_gate(CLOSED)
+        self._numbers.close()
 
     async def _handle(self, command: Command) -> None:
         request = command.request
@@ -254,7 +259,7 @@ class StimulationGate:
         is_for_all = request.action is StimulationAction.STOP_ALL
         node = self._nodes.find(request.node) if request.node < EVERYBODY else None
         if is_for_all or (command.is_stop and node is not None):
-            self._book.number(command, self._take_number())
+            self._book.number(command, self._numbers.take())
             await (self._stop_all if is_for_all else self._stops).run(command)
             return
         if command.is_stop:
@@ -274,7 +279,7 @@ class StimulationGate:
         if isinstance(pulse, Refused):
             await self._teller.refuse(command, pulse)
             return
-        self._book.number(command, self._take_number())
+        self._book.number(command, self._numbers.take())
         await self._stimuli.run(command, pulse)
 
     async def _answer_again(self, known: Command, listener: StageListener) -> None:
@@ -315,11 +320,6 @@ class StimulationGate:
             for listener in self._account_listeners:
                 listener(account)
 
-    def _take_number(self) -> int:
-        number = self._next_number % _N_NUMBERS
-        self._next_number += 1
-        return number
-
     def _free_key(self, key: str) -> str:
         while self._book.find(key) is not None:
             key += " again"
@@ -359,18 +359,9 @@ class StimulationGate:
             self._accounts.take(row)
             yield row
 
-    def _write_gate(self, stage: str) -> "asyncio.Future[None] | None":
-        entry = AuditEntry(wall_ns=self._wall_clock(), mono_ns=self._now_ns(), kind=GATE, stage=stage, body=_NO_FACTS)
-        try:
-            return self._journal.append(JournalWrite(audit=entry))
-        except JournalFullError as error:
-            _log.error("command.not_journaled", kind=GATE, stage=stage, reason=str(error))
-            return None
-
     def _may_stops_give_trains(self) -> bool:
         """Whether a restart would reckon with a stop's train that does not come to disk any more."""
-        opened = self._opened
-        return not self._is_stopping and opened is not None and opened.done() and opened.exception() is None
+        return self._numbers.are_on_record and not self._is_stopping
 
 
 def _is_same(one: StimulationRequest, other: StimulationRequest) -> bool:
@@ -386,5 +377,3 @@ def _is_same(one: StimulationRequest, other: StimulationRequest) -> bool:
 
 _LONGEST_TRAIN_MS = 500
 """No configuration allows a longer one (``stimulation.max_duration_ms``)."""
-
-_NO_FACTS = msgspec.msgpack.encode({})

@@ -8,15 +8,9 @@ from collections.abc import Callable, Iterable
 from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction
 from firmware_protocol.contract.records import decode_record
 from firmware_protocol.units import NS_PER_S
-from gateway.journal_file import STAGE, AuditEntry
+from gateway.journal_file import SENT_AGAIN, STAGE, AuditEntry
 from gateway.stimulation.ledger import Train, TrainLedger
 from gateway.stimulation.telling import COMMIT_TIMEOUT_S, STRAYED, TAKEN_BACK
-
-GATE = "gate"
-"""Kind of the rows that say when the gate opens and closes."""
-
-OPENED, CLOSED = "opened", "closed"
-"""Their stages. Between the two a stop may have given a train that did not come to disk any more."""
 
 _UNSENT = frozenset({Stage.REFUSED.value, Stage.FAILED.value})
 
@@ -49,7 +43,7 @@ def restore_trains(
         if row.train_ms:
             begins_ns = at_ns if row.kind == STRAYED else latest_ns(at_ns + int(COMMIT_TIMEOUT_S * NS_PER_S))
             train = ledger.reserve(row.node, train_ms=row.train_ms, latest_ns=begins_ns, now_ns=now_ns)
-            if row.kind == STAGE:
+            if row.kind in {STAGE, SENT_AGAIN}:
                 trains[row.command_id] = train
         elif row.command_id in trains:
             known = trains[row.command_id]
@@ -57,11 +51,6 @@ def restore_trains(
                 ledger.take_back(row.node, trains.pop(row.command_id))
             elif row.kind == STAGE and row.stage == Stage.BIOBOT_CONFIRMED.value and not _is_stop(row):
                 known.latest_ns = min(known.latest_ns, at_ns)
-
-
-def was_killed(last: AuditEntry | None) -> bool:
-    """Whether the process before this one ended without closing its gate; ``last`` is the newest row of kind ``GATE``."""
-    return last is not None and last.stage == OPENED
 
 
 def _is_stop(row: AuditEntry) -> bool:

@@ -4,14 +4,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from firmware_protocol.contract.commands import Refusal, Stage
+from firmware_protocol.messages import Limits
 from firmware_protocol.units import NS_PER_MS, NS_PER_S
 from gateway.config import StimulationTable
 from gateway.errors import RadioUnavailableError
+from gateway.nodes import NodeBook
 from gateway.radio import Fate, RadioOutcome
 from gateway.stimulation import frames
 from gateway.stimulation.admission import remaining_ms
 from gateway.stimulation.answers import AnswerKeeper
 from gateway.stimulation.commands import Command
+from gateway.stimulation.guards import Guards
 from gateway.stimulation.ledger import TrainLedger
 from gateway.stimulation.outside import CommandSender, Sending
 from gateway.stimulation.pulses import Pulse
@@ -23,6 +26,8 @@ UNWRITTEN_S = 1.0
 
 _QUEUE_NS = (frames.MAX_QUEUED_MS + 10) * NS_PER_MS
 """How long after its frame a train may begin: what the backpack may have it wait, in ticks of its own clock."""
+
+_OTHER_LIMITS = Refused(refusal=Refusal.PULSE, reason="its backpack has just announced its limits; send it anew, to be judged by them")
 
 _OVERTAKEN = Refused(refusal=Refusal.OVERTAKEN, reason="a stop of this biobot came before it was sent; send it anew if it is still wanted")
 
@@ -47,9 +52,11 @@ class Stimuli:
         table: StimulationTable,
         radio_timeout_s: float,
         sender: CommandSender,
+        nodes: NodeBook,
         ledger: TrainLedger,
         teller: StageTeller,
         answers: AnswerKeeper,
+        guards: Guards,
         now_ns: Callable[[], int],
         wall_clock: Callable[[], int],
         journal_fault: Callable[[], str | None],
@@ -57,9 +64,11 @@ class Stimuli:
         self._table = table
         self._radio_timeout_ns = int(radio_timeout_s * NS_PER_S)
         self._sender = sender
+        self._nodes = nodes
         self._ledger = ledger
         self._teller = teller
         self._answers = answers
+        self._guards = guards
         self._flight = Flight(table=table)
         self._now_ns = now_ns
         self._wall_clock = wall_clock
@@ -68,19 +77,24 @@ class Stimuli:
     async def run(self, command: Command, pulse: Pulse) -> None:
         """Take an admitted command to its last stage."""
         began_ns, node = self._now_ns(), command.request.node
+        announced = self._announced(command)
         until_ns = began_ns + int(COMMIT_TIMEOUT_S * NS_PER_S)
         if pulse.duration_ms:
             # From now on: no other one must be admitted while this one waits for the disk.
             latest_ns = self._flight.latest_ns(now_ns=until_ns)
             command.train = self._ledger.reserve(node, train_ms=pulse.duration_ms, latest_ns=latest_ns, now_ns=began_ns)
         accepted = self._teller.stage(command, Stage.ACCEPTED, deadline_ns=until_ns + self._radio_timeout_ns)
+        left_ms = remaining_ms(command.request, now_wall_ns=self._wall_clock())
         is_on_disk = await self._teller.commit(command, accepted, train_ms=pulse.duration_ms)
         if command.is_final:  # the gateway ends
             self._take_back(command)
             return
-        refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns)
+        # By the monotonic clock: the other one may have been set meanwhile.
+        ttl_ms = left_ms - (self._now_ns() - began_ns) // NS_PER_MS
+        refused = self._why_not_now(command, is_on_disk=is_on_disk and self._now_ns() <= until_ns, ttl_ms=ttl_ms)
+        if refused is None and announced != self._announced(command):
+            refused = _OTHER_LIMITS  # it was admitted by those before
         if refused is None:
-            ttl_ms = remaining_ms(command.request, now_wall_ns=self._wall_clock())
             try:
                 sending = self._sender.send(node, frames.stimulus(command, pulse, ttl_ms=ttl_ms))
             except RadioUnavailableError as error:
@@ -91,15 +105,16 @@ class Stimuli:
             return
         sent_ns = self._now_ns()
         command.sendings.append(sending)
+        latest_ns = self._flight.latest_ns(now_ns=sent_ns)
         if command.train is not None:
-            command.train.latest_ns = self._flight.latest_ns(now_ns=sent_ns)
+            command.train.latest_ns = latest_ns
+        self._guards.sent(command, until_ns=latest_ns)
         self._teller.announce(command, accepted)
-        await self._follow(command, sending, sent_ns=sent_ns)
+        await self._follow(command, sending, sent_ns=sent_ns, unwritten_ns=sent_ns + min(int(UNWRITTEN_S * NS_PER_S), ttl_ms * NS_PER_MS))
 
-    async def _follow(self, command: Command, sending: Sending, *, sent_ns: int) -> None:
-        """Wait for radio and biobot, each until its deadline."""
+    async def _follow(self, command: Command, sending: Sending, *, sent_ns: int, unwritten_ns: int) -> None:
+        """Wait for radio and biobot, each until its deadline; a frame that is not written until ``unwritten_ns`` is taken back."""
         deadline_ns = sent_ns + self._radio_timeout_ns
-        unwritten_ns = sent_ns + int(UNWRITTEN_S * NS_PER_S)
         outcome: RadioOutcome | None = None
         while not command.reply.done() and not command.is_final:
             now_ns = self._now_ns()
@@ -144,16 +159,20 @@ class Stimuli:
             return f"the radio has sent it, but no answer of the biobot within {reply_s:g} s; it may have been obeyed"
         return f"no answer within {reply_s:g} s ({outcome.reason or 'the radio does not say what became of it'}); it may have been obeyed"
 
-    def _why_not_now(self, command: Command, *, is_on_disk: bool) -> Refused | None:
+    def _why_not_now(self, command: Command, *, is_on_disk: bool, ttl_ms: int) -> Refused | None:
         """Return why a command that was admitted must not be sent after its wait for the disk, or None."""
         if command.is_overtaken:
             return _OVERTAKEN
         if not is_on_disk:
             reason = f"the journal takes nothing ({self._journal_fault() or 'slow disk'}); make room on its disk, or use a faster one"
             return Refused(refusal=Refusal.JOURNAL, reason=reason)
-        if remaining_ms(command.request, now_wall_ns=self._wall_clock()) <= 0:
+        if ttl_ms <= 0:
             return Refused(refusal=Refusal.STALE, reason="it expired before it could be sent; give it a longer time to live")
         return None
+
+    def _announced(self, command: Command) -> Limits | None:
+        node = self._nodes.find(command.request.node)
+        return None if node is None else node.limits
 
     def _take_back(self, command: Command) -> None:
         if command.train is not None:

@@ -6,11 +6,10 @@ whole swarm is no way to end one. Those under controlled motion come first, and 
 
 import asyncio
 import contextlib
-import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
-from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import Stage, StimulationRequest
 from firmware_protocol.messages import Stimulate
 from firmware_protocol.units import NS_PER_S, NodeId
 from gateway.config import StimulationTable
@@ -22,6 +21,7 @@ from gateway.stimulation import frames
 from gateway.stimulation.answers import AnswerKeeper
 from gateway.stimulation.commands import Command, CommandBook
 from gateway.stimulation.outside import CommandSender, Sending
+from gateway.stimulation.parts import stop_of
 from gateway.stimulation.pulses import pulse_of
 from gateway.stimulation.stops import Stops
 from gateway.stimulation.telling import StageTeller
@@ -40,7 +40,6 @@ _SPARE_S = 1.0
 """Beside what the rounds take, until the last stage is told."""
 
 _NAMED = 10
-_MAX_ID = 64
 
 
 class StopAll:
@@ -73,7 +72,7 @@ class StopAll:
         """Take a stop of everybody to its last stage."""
         sweep = _Sweep(whole=whole, table=self._table, sender=self._sender, teller=self._teller, answers=self._answers, now_ns=self._now_ns)
         sweep.broadcast()
-        self._stops.overtake(self._book.running())
+        self._stops.overtake(whole)
         sweep.begin(n_known=len(self._nodes))
         try:
             for n_before, (is_near, request) in enumerate(self._requests(whole)):
@@ -97,7 +96,7 @@ class StopAll:
             node = self._nodes.find(name)
             if node is not None:
                 is_near = bool(node.last_heard_ns) and node.last_heard_ns >= now_ns - REACHABLE_NS
-                yield is_near or name in controlled, _part_of(whole.request, name)
+                yield is_near or name in controlled, stop_of(whole.request, name, suffix=str(name))
 
     def _free_key(self, command_id: str) -> str:
         key = command_id
@@ -248,22 +247,6 @@ class _Sweep:
             self._teller.tell(self._whole, Stage.UNKNOWN, reason=f"no radio says that it has told everybody; look at the animals{beyond}")
         else:
             self._teller.tell(self._whole, Stage.BIOBOT_CONFIRMED, reason=f"all {n_near} biobots within reach have confirmed{beyond}")
-
-
-def _part_of(whole: StimulationRequest, node: NodeId) -> StimulationRequest:
-    """Return the stop of one biobot that is a part of one of all; its id is the whole's and the biobot's number."""
-    command_id = f"{whole.command_id}.{node}"
-    if len(command_id) > _MAX_ID:
-        digest = hashlib.sha256(whole.command_id.encode()).hexdigest()[:16]
-        command_id = f"{whole.command_id[: _MAX_ID - 24]}-{digest}.{node}"
-    return StimulationRequest(
-        command_id=command_id,
-        node=node,
-        action=StimulationAction.STOP,
-        operator=whole.operator,
-        issued_wall_ns=whole.issued_wall_ns,
-        ttl_ms=whole.ttl_ms,
-    )
 
 
 def _is_sent(sending: Sending) -> bool:

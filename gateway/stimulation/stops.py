@@ -5,9 +5,9 @@ anew in between, would give it twice. Without a train the backpack makes the ins
 """
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
-from firmware_protocol.contract.commands import Stage
+from firmware_protocol.contract.commands import Stage, StimulationAction
 from firmware_protocol.units import NS_PER_S, NodeId
 from gateway.config import StimulationTable
 from gateway.errors import RadioUnavailableError
@@ -18,6 +18,7 @@ from gateway.radio import Fate
 from gateway.stimulation import frames
 from gateway.stimulation.answers import AnswerKeeper
 from gateway.stimulation.commands import Command, CommandBook
+from gateway.stimulation.guards import Guards
 from gateway.stimulation.ledger import TrainLedger
 from gateway.stimulation.outside import CommandSender
 from gateway.stimulation.pulses import Pulse, pulse_of, pulse_refusal
@@ -41,6 +42,7 @@ class Stops:
         ledger: TrainLedger,
         teller: StageTeller,
         answers: AnswerKeeper,
+        guards: Guards,
         health: Health,
         now_ns: Callable[[], int],
         are_trains_allowed: Callable[[], bool],
@@ -52,6 +54,7 @@ class Stops:
         self._ledger = ledger
         self._teller = teller
         self._answers = answers
+        self._guards = guards
         self._health = health
         self._now_ns = now_ns
         self._are_trains_allowed = are_trains_allowed
@@ -69,7 +72,7 @@ class Stops:
                 n_before = len(command.sendings)
                 reason = self._send(command, self._fit_pulse(command) if n_before == 0 else None) or reason
                 if attempt == 0:
-                    self.overtake(self._book.running_of(command.request.node))
+                    self.overtake(command)
                     self._make_room(command)
                 self._tell_sent(command, n_before=n_before, end_ns=end_ns)
                 if await self._await_answer(command, until_ns=began_ns + (attempt + 1) * retry_ns, end_ns=end_ns):
@@ -90,14 +93,15 @@ class Stops:
             written = None
         return self._are_trains_allowed() and written is None
 
-    def overtake(self, commands: Iterable[Command]) -> None:
-        """Keep starts and turns that were not written yet from being sent; those that were go on to their end."""
-        for other in commands:
+    def overtake(self, stop: Command) -> None:
+        """Keep starts and turns of its biobot, or of all, that were not written yet from being sent; those that were are watched."""
+        is_for_all = stop.request.action is StimulationAction.STOP_ALL
+        for other in self._book.running() if is_for_all else self._book.running_of(stop.request.node):
             if other.is_stop or other.is_final:
                 continue
-            unsent = not other.sendings
-            if unsent or (not other.sendings[0].done() and self._sender.withdraw(other.sendings[0])):
+            if not other.sendings or (not other.sendings[0].done() and self._sender.withdraw(other.sendings[0])):
                 other.overtake()
+        self._guards.stopped(stop, None if is_for_all else [stop.request.node])
 
     def _send(self, command: Command, pulse: Pulse | None) -> str:
         """Send it over every radio that may reach the biobot, the first frame with a train where there is one; return why it was not."""
@@ -117,17 +121,19 @@ class Stops:
         return reason
 
     def _tell_sent(self, command: Command, *, n_before: int, end_ns: int) -> None:
-        n_again = len(command.sendings) - n_before
+        """Put on record what was sent just now; the frame with the train, if there is one, was the first of all."""
+        train_ms = 0 if command.train is None or n_before else command.train.duration_ms
+        n_again, written = len(command.sendings) - n_before, None
         if command.stages:
             self._health.count("command.stop_repeated")
         else:
-            train_ms = 0 if command.train is None else command.train.duration_ms
             written = self._teller.tell(command, Stage.ACCEPTED, train_ms=train_ms, deadline_ns=end_ns)
-            if command.train is not None:
-                self._unwritten[command.request.node] = written or asyncio.get_running_loop().create_future()
             n_again -= 1
-        for _ in range(n_again):
-            self._teller.note(command, SENT_AGAIN)
+        for place in range(n_again):
+            noted = self._teller.note(command, SENT_AGAIN, train_ms=0 if written or place else train_ms)
+            written = written or noted
+        if train_ms:
+            self._unwritten[command.request.node] = written or asyncio.get_running_loop().create_future()
 
     def _fit_pulse(self, command: Command) -> Pulse | None:
         """Return the train that a stop may give now, or None."""

@@ -132,9 +132,11 @@ class StageTeller:
         self.announce(command, told)
         return written
 
-    def note(self, command: Command, row: str, *, node: NodeId | None = None, train_ms: int = 0, reason: str = "") -> None:
-        """Write down what is no stage; ``node`` is another biobot than the command's."""
-        self.write(command, self.stage(command, command.stages[-1].stage, reason=reason), train_ms=train_ms, row=row, node=node)
+    def note(
+        self, command: Command, row: str, *, node: NodeId | None = None, train_ms: int = 0, reason: str = ""
+    ) -> "asyncio.Future[None] | None":
+        """Write down what is no stage; ``node`` is another biobot than the command's. Returns what ``tell`` does."""
+        return self.write(command, self.stage(command, command.stages[-1].stage, reason=reason), train_ms=train_ms, row=row, node=node)
 
     def announce(self, command: Command, stage: CommandStage) -> None:
         """Tell a stage that is written down."""

@@ -4,6 +4,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from firmware_protocol.contract.mission_orders import MissionAction
 from mapper.api.schemas import AnswerModel, NodeNumber, NodeText
 from mapper.emergency_stop import MAX_STOP_ID
 
@@ -101,7 +102,7 @@ class OrderBody(_Body):
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"action": "pause", "operator": "anna"}]})
 
-    action: Literal["start", "pause", "resume", "select", "redisperse", "finish"]
+    action: Annotated[MissionAction, Field(strict=False)]
     operator: Operator
     gateway: GatewayName | None = Field(default=None, description="Whose mission; none: each that takes it")
     ttl_ms: int = Field(default=5_000, ge=1, le=60_000)
@@ -208,13 +209,16 @@ class AccountList(AnswerModel):
 
 
 class MissionPhaseItem(AnswerModel):
-    """A phase that began; further fields are as the gateway records them."""
+    """A phase that began; further fields, such as whom it chose and why, are as the gateway records them (CONTRACT.md §3)."""
 
     gateway: str
     phase: PhaseName
     t_start_wall_ns: int
     landmarks: list[int]
     reason: str
+    operator: str = Field(description="Who ordered it; empty: it came by itself")
+    round: int = Field(description="Dispersions of this mission so far")
+    interrupted: PhaseName | None = Field(description="Of a pause: what it interrupts")
 
 
 class MissionView(AnswerModel):
@@ -226,13 +230,16 @@ class MissionView(AnswerModel):
 
 
 class OrderAnswerView(AnswerModel):
-    """What one gateway answered to an order."""
+    """What one gateway answered to an order; further fields are as CONTRACT.md has them."""
 
     gateway: str
     is_taken: bool
     phase: PhaseName
     landmarks: list[int]
     reason: str
+    round: int
+    remaining_s: float | None = Field(description="Until the phase ends by itself; null: it does not, or not by time")
+    possible: list[str] = Field(description="Orders that would be taken now")
 
 
 class OrderView(AnswerModel):

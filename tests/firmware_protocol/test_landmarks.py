@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.errors import LandmarkCountError
-from firmware_protocol.landmarks import select_landmarks
+from firmware_protocol.landmarks import MAX_STARTS, choose_landmarks, next_landmark, select_landmarks
 
 
 def line(length: int) -> dict[int, set[int]]:
@@ -97,3 +97,79 @@ def test_those_who_are_no_candidates_are_left_aside() -> None:
 def test_more_landmarks_than_candidates_are_refused(count: int) -> None:
     with pytest.raises(LandmarkCountError, match=f"{count} landmarks wanted from 3 candidates; ask for 0 to 3"):
         select_landmarks(line(3), count=count)
+
+
+def literal_maxmin(distance: dict[tuple[int, int], float], able: list[int], *, first: int, count: int) -> list[int]:
+    """METHOD 9 word by word: the next landmark is the one that is furthest from those there are; ties to the lowest id."""
+    picks = [first]
+    while len(picks) < count:
+        left = [one for one in able if one not in picks]
+        picks.append(min(left, key=lambda one: (-min(distance[one, pick] for pick in picks), one)))
+    return picks
+
+
+@given(graphs(), st.data())
+def test_a_choice_is_the_literal_rule_from_the_first_pick_that_covers_best(graph: dict[int, set[int]], data: st.DataObject) -> None:
+    eligible = data.draw(st.sets(st.sampled_from(sorted(graph)))) if graph else set[int]()
+    count = data.draw(st.integers(0, len(eligible)))
+    choices = choose_landmarks(graph, count=count, eligible=eligible)
+
+    assert sum(len(one.picks) for one in choices) == count
+    assert sorted(map(set, clusters_of(graph)), key=min) == [set(one.members) for one in choices]
+    for one in choices:
+        able = sorted(set(one.members) & eligible)
+        assert set(one.picks) <= set(able)
+        if eligible == graph.keys():
+            assert abs(len(one.picks) - count * len(one.members) / len(graph)) < 1, "shares are in proportion"
+        if not one.picks:
+            continue
+        distance = {(a, b): hops_between(graph, a, b) for a in one.members for b in able}
+
+        def cover(
+            picks: list[int], one: tuple[int, ...] = one.members, distance: dict[tuple[int, int], float] = distance
+        ) -> tuple[float, float]:
+            hops = [min(distance[member, pick] for pick in picks) for member in one]
+            return max(hops), sum(hops)
+
+        assert len(able) <= MAX_STARTS
+        by_start = [literal_maxmin(distance, able, first=first, count=len(one.picks)) for first in able]
+        best = min(map(cover, by_start))
+        assert list(one.picks) == next(picks for picks in by_start if cover(picks) == best)
+        assert one.radius == best[0]
+
+
+def test_another_turn_takes_another_first_pick_that_covers_as_well() -> None:
+    ring = {k: {(k + 1) % 12, (k - 1) % 12} for k in range(12)}
+    turns = [choose_landmarks(ring, count=3, eligible=ring, turn=turn)[0] for turn in range(13)]
+    assert len({one.picks[0] for one in turns}) == 12
+    assert {one.radius for one in turns} == {3}
+    assert turns[12] == turns[0]
+
+
+def test_a_cluster_in_which_too_few_may_be_picked_leaves_its_share_to_the_others() -> None:
+    two_lines = {k: {k - 1, k + 1} - {0, 6, 5, 11} | ({4} if k == 5 else set()) for k in range(1, 11)}
+    chosen = choose_landmarks(two_lines, count=4, eligible={1, 6, 7, 8, 9, 10})
+    assert [len(one.picks) for one in chosen] == [1, 3]
+
+
+@given(graphs(), st.data())
+def test_who_takes_a_lost_place_is_furthest_from_those_that_stand_in_the_cluster_that_has_fewest(
+    graph: dict[int, set[int]], data: st.DataObject
+) -> None:
+    some = st.sets(st.sampled_from(sorted(graph))) if graph else st.just(set[int]())
+    standing, eligible, near = data.draw(some), data.draw(some), data.draw(st.sampled_from([*sorted(graph), None]))
+    found = next_landmark(graph, standing=standing, eligible=eligible, near=near)
+    able = eligible - standing
+    assert (found is None) == (not able)
+    if found is None:
+        return
+    mine = next(cluster for cluster in clusters_of(graph) if found in cluster)
+
+    def gap(one: int) -> float:
+        return min((hops_between(graph, one, other) for other in standing & mine), default=float("inf"))
+
+    rivals = able & mine
+    furthest = {one for one in rivals if gap(one) == max(map(gap, rivals))}
+    assert found in furthest
+    to_lost = {one: hops_between(graph, one, near) if near in mine else 0.0 for one in furthest}
+    assert found == min(furthest, key=lambda one: (to_lost[one], one))

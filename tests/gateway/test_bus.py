@@ -6,17 +6,25 @@ from pathlib import Path
 
 import zenoh
 
-from firmware_protocol.contract.commands import StimulationAction, StimulationRequest
-from firmware_protocol.contract.keys import Stream, build_key
-from firmware_protocol.contract.records import Mode, Watermark, encode_record
+from firmware_protocol.contract.commands import CommanderBeat, CommandStage, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.keys import ANY, Stream, build_key
+from firmware_protocol.contract.mission_orders import MissionAction, MissionAnswer, MissionOrder
+from firmware_protocol.contract.presence import Kind, build_token_key
+from firmware_protocol.contract.records import MissionPhase, Mode, Watermark, decode_record, encode_record
+from firmware_protocol.contract.sessions import TlsTable
+from firmware_protocol.units import Nanoseconds
 from gateway.bus import Bus
-from gateway.bus_commands import CommandAnswer
+from gateway.bus_client import send_order
+from gateway.bus_commands import CommandAnswer, OrderAnswer
+from gateway.bus_presence import CommanderDoor
+from gateway.bus_session import open_client, open_service
 from gateway.health import Health
 from gateway.journal import Journal
 from gateway.journal_file import JournalWrite
 from tests.gateway.fake_radio import until
 from tests.gateway.harness import a_config, a_request, peer_config
 from tests.gateway.makers import a_mode_record
+from tests.gateway.test_control_book import a_stage
 
 
 def test_a_stop_passes_where_as_many_commands_wait_as_may(tmp_path: Path) -> None:
@@ -53,9 +61,107 @@ def test_a_stop_passes_where_as_many_commands_wait_as_may(tmp_path: Path) -> Non
                     time.sleep(0.01)  # noqa: ASYNC251  # same
                 assert health.counters()["bus.refused_queries"] > 0
                 await until(lambda: any(request.action is StimulationAction.STOP for request in taken), what="the stop is handed over")
+                assert taken[0].action is StimulationAction.STOP, "it goes first"
         finally:
             await asyncio.to_thread(bus.close)
             journal.close()
+
+    asyncio.run(story())
+
+
+def test_orders_come_in_and_are_answered_and_a_query_to_all_gateways_reaches_this_one(tmp_path: Path) -> None:
+    async def story() -> None:
+        health, config = Health(), a_config(tmp_path)
+        journal = Journal.open(tmp_path / "j", health=health)
+        turned_away: list[bytes] = []
+
+        def obey(order: MissionOrder, answer: OrderAnswer) -> None:
+            answer.tell(MissionAnswer(order_id=order.order_id, gateway="base1", is_taken=True, phase=MissionPhase.PAUSED))
+
+        def take(request: StimulationRequest, answer: CommandAnswer) -> None:
+            answer.tell(a_stage(request, Stage.BIOBOT_CONFIRMED))
+
+        bus = await asyncio.to_thread(Bus.open, config, health=health)
+        bus.start(
+            on_command=take,
+            on_order=obey,
+            on_turned_away=lambda octets, _reason: turned_away.append(octets),
+            open_reader=journal.reader,
+            journal=journal.journal_id,
+        )
+        order = MissionOrder(order_id="o1", action=MissionAction.PAUSE, operator="tester", issued_wall_ns=Nanoseconds(0))
+        stop = a_request(7, StimulationAction.STOP)
+        try:
+            answer = await asyncio.to_thread(
+                send_order, order, site="test", gateway=None, connect=config.listen, timeout_s=5.0, tls=TlsTable()
+            )
+            assert answer is not None
+            assert (answer.order_id, answer.phase) == ("o1", MissionPhase.PAUSED)
+            with zenoh.open(peer_config(config.listen[0])) as peer:
+                everybody = build_key(site="test", stream=Stream.COMMAND, gateway=ANY)
+
+                def ask(payload: bytes) -> list[bytes]:
+                    replies = peer.get(everybody, payload=payload, timeout=5.0, consolidation=zenoh.ConsolidationMode.NONE)
+                    return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+                stages: list[bytes] = []
+                while not stages:  # until the peer has found the gateway
+                    stages = await asyncio.to_thread(ask, encode_record(stop))
+                assert decode_record(stages[0], CommandStage).command_id == stop.command_id
+                assert await asyncio.to_thread(ask, b"no command") == []
+                assert turned_away == [b"no command"]
+        finally:
+            await asyncio.to_thread(bus.close)
+            journal.close()
+
+    asyncio.run(story())
+
+
+def test_a_commander_whose_going_was_not_seen_is_gone_once_its_token_is_not_told_again(tmp_path: Path) -> None:
+    async def story() -> None:
+        heard: list[str] = []
+
+        class Ear:
+            def came(self, name: str) -> None:
+                heard.append(f"{name} came")
+
+            def went(self, name: str) -> None:
+                heard.append(f"{name} went")
+
+            def beat(self, name: str, *, number: int, at_ns: int) -> None:
+                assert at_ns > 0
+                heard.append(f"{name} beat {number}")
+
+        endpoint = a_config(tmp_path).listen
+        door = CommanderDoor(loop=asyncio.get_running_loop(), health=Health(), listener=Ear())
+        names = ("ann", "bob")
+        tokens = [build_token_key(site="test", kind=Kind.COMMANDER, name=name) for name in names]
+        pattern = build_token_key(site="test", kind=Kind.COMMANDER, name=ANY)
+        with open_service(listen=endpoint, connect=(), tls=TlsTable()) as session:
+
+            def watch() -> zenoh.Subscriber[None]:
+                door.begin_anew()
+                return session.liveliness().declare_subscriber(pattern, door.take_token, history=True)
+
+            subscriber = watch()
+            beats = session.declare_subscriber(build_key(site="test", stream=Stream.BEAT, gateway=ANY), door.take_beat)
+            with open_client(connect=endpoint, tls=TlsTable()) as commander:
+                held = [commander.liveliness().declare_token(token) for token in tokens]
+                await until(lambda: {"ann came", "bob came"} <= set(heard), what="both are there")
+                for payload in (b"no beat", encode_record(CommanderBeat(number=3))):
+                    commander.put(build_key(site="test", stream=Stream.BEAT, gateway="ann"), payload)
+                await until(lambda: "ann beat 3" in heard, what="a beat is heard")
+                subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+                held[1].undeclare()  # type: ignore[no-untyped-call]  # same
+                everyone = session.liveliness()
+                await until(lambda: not list(everyone.get(tokens[1], timeout=0.2)), what="the token is gone")
+                assert "bob went" not in heard
+                subscriber = watch()
+                await until(lambda: "bob went" in heard, what="its going is noticed")
+                assert "ann went" not in heard
+            await until(lambda: "ann went" in heard, what="the session's end is noticed")
+            for declared in (beats, subscriber):
+                declared.undeclare()  # type: ignore[no-untyped-call]  # same
 
     asyncio.run(story())
 

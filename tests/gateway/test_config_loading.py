@@ -55,12 +55,13 @@ def test_all_faults_of_all_kinds_and_sources_are_told_at_once(tmp_path: Path) ->
         source + "listen: endpoint '7447' must be LINK/ADDRESS",
         "BIOBOT_GATEWAY__MONITOR__LISTEN: monitor.listen: 'here' is no HOST:PORT",
         source + "stimulation.pulse_width_us is 9000",
+        source + "stimulation.frequency_hz is 100, but its own limits are 50 to 55",
         source + "stimulation.channel is 9",
         source + "backpacks.rssi_exit_dbm is -60",
         source + f"recording.directory {tmp_path}/file/below: {tmp_path}/file is a file",
     ):
         assert sum(problem.startswith(start) for problem in problems) == 1, (start, problems)
-    assert len(problems) == 14
+    assert len(problems) == 15
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "gateway.toml"], "looking makes nothing"
 
 

@@ -11,6 +11,7 @@ import pytest
 from firmware_protocol.contract.commands import Stage, StimulationAction
 from firmware_protocol.contract.records import Cause, EncounterRecord, HistoryRequest, MissionPhase, MissionRecord, Mode, ModeRecord
 from firmware_protocol.envelope import RadioStatus
+from firmware_protocol.landmarks import choose_landmarks
 from firmware_protocol.messages import Action
 from firmware_protocol.units import NodeId
 from gateway.config import MissionTable
@@ -286,6 +287,11 @@ def test_a_full_disk_stalls_and_loses_nothing(tmp_path: Path) -> None:
 
 
 def test_the_mission_disperses_selects_landmarks_and_explores(tmp_path: Path) -> None:
+    """And whoever was chosen and does not answer is replaced; the choice is on record before anybody is asked."""
+    row = {node: frozenset({node - 1, node + 1} & set(range(1, 11))) for node in range(1, 11)}
+    (chosen,) = choose_landmarks(row, count=3, eligible=row)
+    silent = chosen.picks[1]
+
     async def story() -> None:
         dongle = a_dongle(*range(1, 11))
         mission = MissionTable(is_enabled=True, dispersion_s=0.5, n_landmarks=3, exploration_s=0.5)
@@ -294,24 +300,27 @@ def test_the_mission_disperses_selects_landmarks_and_explores(tmp_path: Path) ->
             with listening(config) as peer:
                 async with running(config):
                     await peer.hear()
-                    dongle.backpacks[NodeId(10)].answers = False  # it would be the second pick: farthest from 1
+                    dongle.backpacks[NodeId(silent)].answers = False
                     for node, backpack in dongle.backpacks.items():
                         backpack.say_hello()
                         backpack.say_status()
-                        backpack.say_neighbours([NodeId(other) for other in (node - 1, node + 1) if 1 <= other <= 10])
-                    await until(lambda: len(peer.of(MissionRecord)) == 4, what="the mission is done")
+                        backpack.say_neighbours([NodeId(other) for other in sorted(row[node])])
+                    await until(lambda: any(one.phase is MissionPhase.DONE for one in peer.of(MissionRecord)), what="the mission is done")
         records = peer.of(MissionRecord)
-        assert [record.phase for record in records] == [
+        phases = {record.identity: record for record in records}
+        assert [record.phase for record in phases.values()] == [
             MissionPhase.DISPERSION,
             MissionPhase.LANDMARK_SELECTION,
             MissionPhase.EXPLORATION,
             MissionPhase.DONE,
         ]
-        landmarks = records[2].landmarks
+        (choice,) = [record.choice for record in records if record.phase is MissionPhase.LANDMARK_SELECTION and record.revision == 1]
+        assert choice is not None
+        assert choice.awaited == chosen.picks
+        landmarks = next(record.landmarks for record in records if record.phase is MissionPhase.EXPLORATION)
         assert len(landmarks) == 3
-        assert 1 in landmarks
-        assert 10 not in landmarks
-        assert "not reached: 10" in records[2].reason
+        assert set(chosen.picks) - {silent} < set(landmarks)
+        assert f"not reached: {silent}" in next(record.reason for record in records if record.phase is MissionPhase.EXPLORATION)
         standing = {record.node for record in peer.of(ModeRecord) if record.mode is Mode.S and record.cause is Cause.COMMAND}
         assert standing == set(landmarks)
 

@@ -10,6 +10,7 @@ from firmware_protocol.contract.records import EncounterRecord, MissionPhase, Mi
 from firmware_protocol.message_codec import encode_uplink
 from firmware_protocol.messages import EncounterBatch, EncounterEntry, Hello, TimeSyncReply, Uplink, UplinkHeader
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from gateway.audit_log import AuditLog
 from gateway.clocks import ClockBook
 from gateway.config import EncounterTable, MissionTable, StimulationTable
 from gateway.downlink import DownlinkSender
@@ -77,8 +78,10 @@ def test_a_restart_at_the_end_of_dispersion_waits_for_the_biobots_it_knew(tmp_pa
             journal=journal,
             reader=reader,
             nodes=nodes,
-            gate=gate,
+            handle=gate.handle,
             health=health,
+            note=AuditLog(journal=journal, reader=reader, health=health).note,
+            on_event=lambda _level, _kind, _facts: None,
         )
         exploring = asyncio.ensure_future(mission.run())
         await until(lambda: journal.head_offset >= 2, what="the selection begins")

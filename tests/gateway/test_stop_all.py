@@ -11,7 +11,7 @@ from firmware_protocol.messages import Action
 from firmware_protocol.units import EVERYBODY, NodeId
 from gateway.journal_file import JournalWrite
 from gateway.radio import Fate
-from gateway.stimulation.stop_all import _part_of
+from gateway.stimulation.parts import stop_of
 from tests.gateway.fake_air import Site, a_command, a_site
 from tests.gateway.fake_radio import until
 
@@ -128,7 +128,7 @@ def test_it_works_on_a_full_disk(tmp_path: Path) -> None:
 
 @given(st.text("abcXYZ019._-", min_size=1, max_size=64), st.integers(0, 0xFFFE))
 def test_the_parts_have_ids_of_their_own_that_are_fit_to_be_ids(command_id: str, node: int) -> None:
-    part = _part_of(a_command(EVERYBODY, _ALL, command_id=command_id), NodeId(node))
+    part = stop_of(a_command(EVERYBODY, _ALL, command_id=command_id), NodeId(node), suffix=str(node))
     assert 1 <= len(part.command_id) <= 64
     assert part.command_id != command_id
     assert part.command_id.endswith(f".{node}")

@@ -1,0 +1,400 @@
+"""The mission as it runs: time, orders, reports and records go to the planner, and what it wants goes to journal and gate."""
+
+import asyncio
+import time
+from collections.abc import Callable, Collection, Mapping
+from functools import partial
+from typing import Protocol
+
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.mission_orders import MissionAction, MissionAnswer, MissionOrder
+from firmware_protocol.contract.records import Cause, EncounterRecord, MissionPhase, Mode, ModeRecord
+from firmware_protocol.messages import LEAVE_RSSI
+from firmware_protocol.units import NS_PER_S, NodeId, RssiDbm
+from gateway.config import MissionTable
+from gateway.health import Health
+from gateway.issuer import RecordIssuer
+from gateway.journal import Journal
+from gateway.journal_file import Committed, JournalReader
+from gateway.log import EventLog
+from gateway.mission.candidates import USUAL_SHARE, Candidates, choose, choose_next, count_wanted, find_candidates
+from gateway.mission.chronicle import Chronicle
+from gateway.mission.landmark_commands import OPERATOR, Handle, LandmarkCommander
+from gateway.mission.orders import OrderMemory, refusal_of
+from gateway.mission.planner import COMMANDING, MissionPlanner
+from gateway.mission.states import restore_state
+from gateway.mission.steps import Choose, LetGo, MakeLandmark, MissionState, MissionStep, Tell
+from gateway.mission.watch import LandmarkWatch, Suspicion
+from gateway.nodes import NodeBook
+
+_log = EventLog(__name__)
+
+_TICK_S = 0.1
+_LOOK_S = 1.0
+"""How often the landmarks' silence and batteries are looked at."""
+
+_ON_DISK_S = 2.0
+"""An order's answer waits so long for the disk."""
+
+_RESTORED_ORDERS = 256
+
+
+class Note(Protocol):
+    """Puts an entry into the audit log."""
+
+    def __call__(self, kind: str, *, facts: Mapping[str, object], operator: str = "", node: NodeId | None = None) -> None:
+        """Note what happened; never raises and never waits."""
+
+
+class Mission:
+    """Runs the planner's steps; ``run`` is its task. Belongs to one event loop.
+
+    Parameters
+    ----------
+    handle
+        The stimulation gate's way in.
+    note
+        The audit log's.
+    on_event
+        Told what an operator may want to know: level, kind and facts.
+    """
+
+    def __init__(
+        self,
+        *,
+        config: MissionTable,
+        issuer: RecordIssuer,
+        journal: Journal,
+        reader: JournalReader,
+        nodes: NodeBook,
+        handle: Handle,
+        health: Health,
+        note: Note,
+        on_event: Callable[[str, str, Mapping[str, str]], None],
+        wall_clock: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._config = config
+        self._planner = MissionPlanner(config=config)
+        self._issuer = issuer
+        self._journal = journal
+        self._nodes = nodes
+        self._note = note
+        self._on_event = on_event
+        self._wall_clock = wall_clock
+        now_ns = time.monotonic_ns()
+        self._watch = LandmarkWatch(gap_ns=int(config.contradiction_gap_s * NS_PER_S), armed_ns=now_ns)
+        self._commander = LandmarkCommander(
+            handle=handle,
+            nodes=nodes,
+            journal=journal,
+            health=health,
+            may_command=self._may_command,
+            name=f"mission-{issuer.boot}",
+            patience_s=config.selection_timeout_s,
+            wall_clock=wall_clock,
+        )
+        self._orders = OrderMemory(gateway=issuer.gateway)
+        self._chronicle = Chronicle(issuer=issuer, journal=journal)
+        self._restored_until_ns = 0
+        self._started_ns = self._looked_ns = now_ns
+        self._held_since_ns = now_ns
+        """Since when landmarks' silence is judged: at a pause and before this process nobody listened."""
+        self._waiting: list[MissionStep] = []
+        self._ordered: list[tuple[MissionOrder, Callable[[MissionAnswer], None]]] = []
+        self._has_heard_choice = False
+        self._wake = asyncio.Event()
+        self._resume(reader, now_ns=now_ns)
+        if not config.n_landmarks and not USUAL_SHARE[0] <= config.landmark_share <= USUAL_SHARE[1]:
+            _log.warning("mission.share", share=config.landmark_share, advice="the method takes 0.1 to 0.2 of the biobots")
+
+    @property
+    def state(self) -> MissionState:
+        """How the mission stands."""
+        return self._planner.state
+
+    async def run(self) -> None:
+        """Go through the phases, until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            while True:
+                now_ns = time.monotonic_ns()
+                self._chronicle.write()
+                ordered, self._ordered = self._ordered, []
+                for order, tell in ordered:
+                    tasks.create_task(self._answer_order(order, tell))
+                self._take_waiting(tasks)
+                self._look(now_ns=now_ns)
+                known = self._known(now_ns=now_ns) if self._needs_to_know() else set()
+                is_graph_known = bool(known) and known <= self._nodes.adjacency().keys()
+                pick = partial(self._pick, now_ns=now_ns)
+                self._waiting += self._planner.tick(
+                    now_ns=self._journal.ran_ns, n_known=len(known), is_graph_known=is_graph_known, pick=pick
+                )
+                self._take_waiting(tasks)
+                self._watch.set_landmarks(self.state.landmarks, now_ns=now_ns)
+                self._wake.clear()
+                if not self._waiting and not self._ordered:
+                    try:
+                        async with asyncio.timeout(_TICK_S):
+                            await self._wake.wait()
+                    except TimeoutError:
+                        pass
+
+    async def handle_order(self, order: MissionOrder) -> MissionAnswer:
+        """Take an operator's order, and answer when what it changes is on disk."""
+        known = self._orders.recall(order)
+        if known is not None:
+            return known
+        refusal = refusal_of(order, now_wall_ns=self._wall_clock(), journal_fault=self._journal.fault)
+        steps: list[MissionStep] = []
+        if refusal is None:
+            refusal, steps = self._planner.order(
+                order.action, operator=order.operator, order_id=order.order_id, now_ns=self._journal.ran_ns
+            )
+        answer = self._answer(order, refusal=refusal)
+        self._orders.note(order, answer)
+        if order.action is not MissionAction.SHOW:
+            facts = {"order": order.order_id, "action": order.action.value, "taken": refusal is None, "reason": refusal or ""}
+            self._note("mission.order", facts=facts, operator=order.operator)
+            _log.info("mission.order", operator=order.operator, action=order.action.value, refusal=refusal or "")
+        if self._proceed(steps) and self._chronicle.on_disk is not None:
+            await asyncio.wait({self._chronicle.on_disk}, timeout=_ON_DISK_S)
+        return answer
+
+    def take_order(self, order: MissionOrder, tell: Callable[[MissionAnswer], None]) -> None:
+        """Have the task take an order, and tell its answer; orders that wait when it ends are not answered."""
+        self._ordered.append((order, tell))
+        self._wake.set()
+
+    def on_stage(self, request: StimulationRequest, stage: CommandStage) -> None:
+        """Hear of every command's stages: a stop of all pauses the mission, and who starts a landmark takes it away."""
+        if stage.stage is not Stage.ACCEPTED:
+            return
+        now_ns = self._journal.ran_ns
+        if request.action is StimulationAction.STOP_ALL:
+            walking = [node.node for node in self._nodes.all() if node.mode is None or node.mode.mode is Mode.CRW]
+            self._proceed(self._planner.stop_all(operator=request.operator, walking=walking, now_ns=now_ns))
+        elif request.action is StimulationAction.START and request.operator != OPERATOR and request.node in self.state.landmarks:
+            self._lose(request.node, reason=f"{request.operator} let it walk", is_let_go=False)
+
+    def take_records(self, committed: Committed) -> None:
+        """Judge the landmarks by what has come to lie on disk."""
+        if self.state.choice is None or self.state.phase not in COMMANDING:
+            return
+        landmarks, failed = self.state.landmarks, self.state.choice.failed
+        for record in committed.records:
+            if isinstance(record, EncounterRecord) and record.node_a in landmarks and record.node_b in landmarks:
+                suspicion = self._watch.take_encounter(
+                    record,
+                    t_start_ns=self._issuer.to_own_monotonic_ns(record.t_start_ns, anchor_ns=record.wall_anchor_ns),
+                    t_end_ns=self._issuer.to_own_monotonic_ns(record.t_end_ns, anchor_ns=record.wall_anchor_ns),
+                    enter_dbm=self._enter_dbm(record.node_a, record.node_b),
+                    now_ns=time.monotonic_ns(),
+                )
+            elif isinstance(record, ModeRecord) and record.node in landmarks:
+                t_start_ns = self._issuer.to_own_monotonic_ns(record.t_start_ns, anchor_ns=record.wall_anchor_ns)
+                suspicion = self._watch.take_mode(record, t_start_ns=t_start_ns)
+            elif isinstance(record, ModeRecord) and record.node in failed and _stands_by_command(record):
+                self._proceed(self._planner.stands_after_all(record.node, now_ns=self._journal.ran_ns))
+                continue
+            else:
+                continue
+            if suspicion is not None:
+                self._suspect(suspicion)
+
+    def _resume(self, reader: JournalReader, *, now_ns: int) -> None:
+        records = reader.read_recent_missions(limit=_RESTORED_ORDERS)
+        self._orders.restore(records)
+        if not records:
+            return
+        self._chronicle.resume(records[-1])
+        state = restore_state(records[-1], issuer=self._issuer, now_ns=now_ns, now_ran_ns=self._journal.ran_ns)
+        self._waiting = self._planner.resume(state, now_ns=self._journal.ran_ns)
+        self._restored_until_ns = now_ns + int(self._config.selection_timeout_s * NS_PER_S)
+        self._watch.armed_ns = now_ns + self._watch.gap_ns
+        _log.info("mission.resumed", phase=state.phase.value, landmarks=len(state.landmarks), round=state.round)
+
+    def _needs_to_know(self) -> bool:
+        """Whether it matters now who is there; with thousands of biobots it costs something to find out."""
+        state = self.state
+        if state.phase is MissionPhase.IDLE:
+            return self._config.is_enabled
+        is_short = state.choice is None or len(state.landmarks | state.awaited) < state.choice.n_wanted
+        return is_short and state.phase in {MissionPhase.LANDMARK_SELECTION, MissionPhase.EXPLORATION}
+
+    def _known(self, *, now_ns: int) -> set[NodeId]:
+        # Those of the journal are waited for: the first one that speaks after a restart is not all there are.
+        oldest_ns = now_ns - int(self._config.candidate_silence_s * NS_PER_S)
+        nodes = self._nodes.all()
+        return {one.node for one in nodes if (one.last_heard_ns >= oldest_ns if one.last_heard_ns else now_ns < self._restored_until_ns)}
+
+    def _may_command(self) -> bool:
+        return self.state.phase in COMMANDING
+
+    def _proceed(self, steps: list[MissionStep]) -> bool:
+        """Write down at once what is to be written, and leave the rest to the task; return whether anything was written."""
+        told = [step for step in steps if isinstance(step, Tell)]
+        for step in told:
+            self._tell(step)
+        self._waiting += [step for step in steps if not isinstance(step, Tell)]
+        self._wake.set()
+        return bool(told)
+
+    def _take_waiting(self, tasks: asyncio.TaskGroup) -> None:
+        steps, self._waiting = self._waiting, []
+        for step in steps:
+            match step:
+                case Tell():
+                    self._tell(step)
+                case Choose(turn=turn):
+                    tasks.create_task(self._choose(turn))
+                case MakeLandmark(node=node, is_again=is_again):
+                    tasks.create_task(self._make_landmark(node, on_disk=self._chronicle.on_disk, is_again=is_again))
+                case LetGo(node=node, decided_ns=decided_ns):
+                    tasks.create_task(self._let_go(node, on_disk=self._chronicle.on_disk, decided_ns=decided_ns))
+
+    async def _choose(self, turn: int) -> None:
+        """Choose in a thread: of thousands of biobots it takes a while, and radios do not wait."""
+        now_ns = time.monotonic_ns()
+        candidates = self._candidates(now_ns=now_ns, excluded=self._planner.resting.keys())
+        n_wanted = count_wanted(self._config, n_known=max(candidates.n_heard, 1))
+        choice = await asyncio.to_thread(choose, candidates, n_wanted=n_wanted, turn=turn)
+        facts = {
+            "wanted": n_wanted,
+            "picks": list(choice.awaited),
+            "candidates": len(choice.candidates),
+            "left_out": {why: len(who) for why, who in choice.left_out.items()},
+            "clusters": [[one.size, len(one.picks), one.radius] for one in choice.clusters],
+        }
+        if not choice.awaited:
+            if not self._has_heard_choice:
+                _log.warning("mission.no_candidates", **{why.replace(" ", "_"): len(who) for why, who in choice.left_out.items()})
+                self._on_event("warning", "mission.no_candidates", {why: str(len(who)) for why, who in choice.left_out.items()})
+            self._has_heard_choice = True
+        else:
+            self._has_heard_choice = False
+            share = n_wanted / max(candidates.n_heard, 1)
+            if not USUAL_SHARE[0] <= share <= USUAL_SHARE[1] and candidates.n_heard >= 1 / USUAL_SHARE[0]:
+                _log.warning("mission.share", wanted=n_wanted, biobots=candidates.n_heard, advice="the method takes 0.1 to 0.2 of them")
+            self._note("landmark.choice", facts=facts)
+            _log.info("mission.choice", wanted=n_wanted, candidates=len(choice.candidates), clusters=len(choice.clusters))
+        self._proceed(self._planner.take_choice(choice, now_ns=self._journal.ran_ns))
+
+    def _candidates(self, *, now_ns: int, excluded: Collection[NodeId]) -> Candidates:
+        standing = self.state.landmarks | self.state.awaited
+        return find_candidates(self._nodes.all(), config=self._config, now_ns=now_ns, resting=excluded, standing=standing)
+
+    def _pick(self, standing: Collection[NodeId], excluded: Collection[NodeId], near: NodeId | None, *, now_ns: int) -> NodeId | None:
+        candidates = self._candidates(now_ns=now_ns, excluded=excluded)
+        node = choose_next(candidates, standing=standing, excluded=excluded, near=near)
+        if node is not None:
+            self._note("landmark.replacement", facts={"replaces": near, "candidates": len(candidates.eligible)}, node=node)
+            self._on_event("info", "mission.replacement", {"node": str(node), "replaces": "" if near is None else str(near)})
+        return node
+
+    async def _make_landmark(self, node: NodeId, *, on_disk: "asyncio.Future[None] | None", is_again: bool) -> None:
+        await _wait_for(on_disk)
+        outcome = await self._commander.stop(node)
+        if outcome.was_kept:
+            return
+        self._note("landmark.asked", facts={"stands": outcome.is_done, "reason": outcome.reason, "again": is_again}, node=node)
+        steps = self._planner.settle(
+            node, is_standing=outcome.is_done, reason=outcome.reason, now_ns=self._journal.ran_ns, wall_ns=self._wall_clock()
+        )
+        self._proceed(steps)
+
+    async def _let_go(self, node: NodeId, *, on_disk: "asyncio.Future[None] | None", decided_ns: int) -> None:
+        await _wait_for(on_disk)
+        outcome = await self._commander.start(node, name=f"mission-start-{node}-{decided_ns}")
+        if outcome.was_kept:
+            return
+        self._note("landmark.let_go", facts={"walks": outcome.is_done, "reason": outcome.reason}, node=node)
+        if not outcome.is_done:
+            self._on_event("warning", "mission.not_released", {"node": str(node), "reason": outcome.reason})
+        self._planner.released(node)
+        self._wake.set()
+
+    def _look(self, *, now_ns: int) -> None:
+        """See whether landmarks are still heard, and what their batteries say."""
+        if self.state.phase is not MissionPhase.EXPLORATION:
+            self._held_since_ns = now_ns
+            return
+        if now_ns - self._looked_ns < _LOOK_S * NS_PER_S:
+            return
+        self._looked_ns = now_ns
+        silence_ns = int(self._config.landmark_silence_s * NS_PER_S)
+        for landmark in sorted(self.state.landmarks):
+            node = self._nodes.find(landmark)
+            heard_ns = max(0 if node is None else node.last_heard_ns, self._held_since_ns)
+            if now_ns - heard_ns >= silence_ns:
+                self._lose(landmark, reason=f"it was not heard for {self._config.landmark_silence_s:g} s", is_let_go=False)
+            elif node is not None and node.status is not None and node.status.battery_mv < self._config.min_battery_mv:
+                reason = f"its battery has {node.status.battery_mv} mV, less than {self._config.min_battery_mv}"
+                self._lose(landmark, reason=reason, is_let_go=False)
+
+    def _suspect(self, suspicion: Suspicion) -> None:
+        if not suspicion.is_told:
+            self._lose(suspicion.node, reason=suspicion.reason, is_let_go=True)
+            return
+        steps = self._planner.is_walking(suspicion.node, reason=suspicion.reason, now_ns=self._journal.ran_ns, wall_ns=self._wall_clock())
+        if steps:
+            self._note("landmark.doubt", facts={"reason": suspicion.reason}, node=suspicion.node)
+        self._tell_loss(suspicion.node, reason=suspicion.reason)
+        self._proceed(steps)
+
+    def _lose(self, node: NodeId, *, reason: str, is_let_go: bool) -> None:
+        steps = self._planner.lose(node, reason=reason, is_let_go=is_let_go, now_ns=self._journal.ran_ns, wall_ns=self._wall_clock())
+        self._tell_loss(node, reason=reason)
+        self._proceed(steps)
+
+    def _tell_loss(self, node: NodeId, *, reason: str) -> None:
+        changes = self.state.changes
+        if node in self.state.landmarks or not changes or changes[-1].node != node:
+            return
+        _log.warning("mission.landmark_lost", node=node, reason=reason)
+        self._note("landmark.lost", facts={"reason": reason}, node=node)
+        self._on_event("warning", "mission.landmark_lost", {"node": str(node), "reason": reason})
+
+    def _enter_dbm(self, one: NodeId, other: NodeId) -> RssiDbm | None:
+        found = []
+        for node in (self._nodes.find(one), self._nodes.find(other)):
+            report = None if node is None else node.configuration
+            if report is not None and report.rssi_enter_dbm != LEAVE_RSSI:
+                found.append(report.rssi_enter_dbm)
+        return RssiDbm(min(found)) if found else None
+
+    def _tell(self, step: Tell) -> None:
+        state = step.state
+        if step.is_revision:
+            self._chronicle.revise(state)
+            return
+        self._chronicle.begin(state)
+        facts = {"phase": state.phase.value, "round": state.round, "landmarks": sorted(state.landmarks), "reason": state.reason}
+        self._note("mission.phase", facts=facts, operator=state.operator)
+        _log.info("mission.phase", phase=state.phase.value, landmarks=len(state.landmarks), round=state.round, reason=state.reason)
+
+    async def _answer_order(self, order: MissionOrder, tell: Callable[[MissionAnswer], None]) -> None:
+        tell(await self.handle_order(order))
+
+    def _answer(self, order: MissionOrder, *, refusal: str | None) -> MissionAnswer:
+        state = self.state
+        remaining_ns = self._planner.remaining_ns(self._journal.ran_ns)
+        return MissionAnswer(
+            order_id=order.order_id,
+            gateway=self._issuer.gateway,
+            is_taken=refusal is None,
+            phase=state.phase,
+            landmarks=tuple(sorted(state.landmarks)),
+            reason=refusal or state.reason,
+            round=state.round,
+            remaining_s=None if remaining_ns is None else remaining_ns / NS_PER_S,
+            possible=self._planner.possible(),
+        )
+
+
+def _stands_by_command(record: ModeRecord) -> bool:
+    return record.mode is Mode.S and record.cause is Cause.COMMAND and record.t_end_ns is None
+
+
+async def _wait_for(on_disk: "asyncio.Future[None] | None") -> None:
+    if on_disk is not None:
+        await asyncio.wait({on_disk})

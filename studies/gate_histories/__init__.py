@@ -1,0 +1,1 @@
+"""Random histories of the stimulation gate, judged at the electrode of the simulated backpack (docs/gate-histories.md)."""
