@@ -27,6 +27,8 @@ from studies.system import PartFailedError, free_port
 _KILLED_IN = (MissionPhase.DISPERSION, MissionPhase.LANDMARK_SELECTION, MissionPhase.EXPLORATION)
 _POLL_S = 0.01
 _TIMEOUT_S = 120.0
+_CONFIG = "[stimulation]\nstop_retry_s = 4\n"
+"""A stop is given up after five times as long. Nothing is lost here, so it is no test of patience: a busy machine only answers late."""
 _WHOLE = 100_000
 
 
@@ -143,8 +145,10 @@ def check_mission(journal: Path, *, truth: Path, n_landmarks: int) -> list[str]:
 
 
 def _start_gateway(parts: Parts, plan: Plan, *, out: Path) -> None:
+    config = out / "gateway.toml"
+    config.write_text(_CONFIG)
     parts.start(
-        "gateway", "gateway", "run", "--port", (out / "ready").read_text().strip(), "--journal", out / "gateway.sqlite",
+        "gateway", "gateway", "run", "--config", config, "--port", (out / "ready").read_text().strip(), "--journal", out / "gateway.sqlite",
         "--listen", f"tcp/127.0.0.1:{free_port()}", "--mission", "--dispersion-s", plan.dispersion_s, "--landmarks", plan.landmarks,
         "--exploration-s", plan.exploration_s, "--log-format", "json",
     )  # fmt: skip
