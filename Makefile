@@ -81,6 +81,9 @@ clocks: venv  ## times of encounters and their bounds against the truth: drift, 
 bench-gateway: venv  ## encounters through a gateway with eight dongles under load: how many, at what cost, how late (minutes; ARGS="--encounters 1e7")
 	$(PY) -m studies.bench_gateway $(ARGS)
 
+bench-stop: venv  ## how soon a stop has left for the dongle, by every way, under load, with a full disk (root for that; minutes; docs/stop.md)
+	$(PY) -m studies.stop_latency $(ARGS)
+
 campaign: venv  ## a whole site lives through 1,000 faults; is every one of 1,000,000 encounters in the store? (an hour; resumable; docs/campaign.md)
 	$(PY) -m studies.campaign $(ARGS)
 

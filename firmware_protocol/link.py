@@ -139,9 +139,9 @@ class Link:
     """Of the session: the newest that both ends speak (§3.5)."""
     n_ignored: int = 0
     """Frames not of this session or not understood."""
+    outgoing: LinkQueue = field(init=False)
     _session: int = 0
     _frames: list[bytes] = field(default_factory=list)
-    _outgoing: LinkQueue = field(init=False)
     _next_ticket: int = 1
     _first_unacknowledged: int = 0
     _next_expected: int = 0
@@ -161,11 +161,11 @@ class Link:
     """How many payloads must be acknowledged before an acknowledgement that says nothing new says that something was lost."""
 
     def __post_init__(self) -> None:
-        self._outgoing = LinkQueue(window=self.config.window, urgent_window=self.config.urgent_window)
+        self.outgoing = LinkQueue(window=self.config.window, urgent_window=self.config.urgent_window)
 
     def open(self, *, session: int, now_ns: int) -> list[LinkEvent]:
         """Begin a session under a number the last one did not have (initiator only); RESET is repeated until answered."""
-        dropped = self._outgoing.drop_all()
+        dropped = self.outgoing.drop_all()
         was_up = self.state is not LinkState.CLOSED
         self._begin(session)
         self.state = LinkState.OPENING
@@ -176,12 +176,12 @@ class Link:
     @property
     def n_free(self) -> int:
         """How many more payloads ``send`` takes now."""
-        return self.config.max_queue - len(self._outgoing)
+        return self.config.max_queue - len(self.outgoing)
 
     @property
-    def n_repeated(self) -> int:
-        """DATA frames sent more than once."""
-        return self._outgoing.n_repeated
+    def has_frames(self) -> bool:
+        """Whether ``take_frames`` gives one."""
+        return bool(self._frames) or (self.state is LinkState.OPEN and self.outgoing.has_next)
 
     def send(self, payload: bytes, *, now_ns: int, is_urgent: bool = False) -> int:
         """Queue a payload and return its ticket; an urgent one goes ahead of all that has not been sent.
@@ -200,17 +200,17 @@ class Link:
             raise LinkFullError(limit=self.config.max_queue)
         ticket = self._next_ticket
         self._next_ticket += 1
-        self._outgoing.add((ticket, payload), is_urgent=is_urgent)
+        self.outgoing.add((ticket, payload), is_urgent=is_urgent)
         self._fill_window(now_ns)
         return ticket
 
     def cancel(self, ticket: int) -> bool:
         """Take back a payload that was not handed out yet; return whether it was not."""
-        if not self._outgoing.cancel(ticket):
+        if not self.outgoing.cancel(ticket):
             return False
         if self.state is LinkState.OPEN:
-            self._outgoing.fill_window()
-        if not self._outgoing.n_in_window:
+            self.outgoing.fill_window()
+        if not self.outgoing.n_in_window:
             self._retransmit_at_ns = None
         return True
 
@@ -255,9 +255,9 @@ class Link:
 
     def take_frames(self, *, at_most: int | None = None) -> list[bytes]:
         """Return the frame bodies to put on the line, in order, all or so many; payloads get their numbers here."""
-        limit = len(self._frames) + self._outgoing.n_in_window if at_most is None else at_most
+        limit = len(self._frames) + self.outgoing.n_in_window if at_most is None else at_most
         frames, self._frames = self._frames[:limit], self._frames[limit:]
-        while self.state is LinkState.OPEN and len(frames) < limit and (taken := self._outgoing.take()) is not None:
+        while self.state is LinkState.OPEN and len(frames) < limit and (taken := self.outgoing.take()) is not None:
             index, payload = taken
             frames.append(_HEADER.pack(_Kind.DATA, self._session, (self._first_unacknowledged + index) % 256) + payload)
         return frames
@@ -312,7 +312,7 @@ class Link:
         if self.state is LinkState.OPEN and session == self._session:
             self._push(_Kind.RESET_ACK, 0, bytes([self.version]))  # our answer was lost; the session has begun and goes on
             return []
-        self._outgoing.start_anew()
+        self.outgoing.start_anew()
         self._begin(session)
         self.version = min(newest, LINK_VERSION)
         self._push(_Kind.RESET_ACK, 0, bytes([self.version]))
@@ -351,31 +351,31 @@ class Link:
 
     def _take_ack(self, sequence: int, now_ns: int) -> list[LinkEvent]:
         n_acknowledged = (sequence - self._first_unacknowledged) % 256
-        if n_acknowledged > self._outgoing.n_numbered:
+        if n_acknowledged > self.outgoing.n_numbered:
             self.n_ignored += 1
             return []
-        events: list[LinkEvent] = [PayloadConfirmed(ticket=ticket) for ticket in self._outgoing.acknowledge(n_acknowledged)]
+        events: list[LinkEvent] = [PayloadConfirmed(ticket=ticket) for ticket in self.outgoing.acknowledge(n_acknowledged)]
         if n_acknowledged:
             self._n_fruitless = 0
             self._n_repeating = max(0, self._n_repeating - n_acknowledged)
             self._first_unacknowledged = sequence
             self._retransmit_ns = self.config.retransmit_ns
-            self._retransmit_at_ns = now_ns + self._retransmit_ns if self._outgoing.n_in_window else None
+            self._retransmit_at_ns = now_ns + self._retransmit_ns if self.outgoing.n_in_window else None
             self._fill_window(now_ns)
-        elif self._outgoing.n_numbered and not self._n_repeating:
+        elif self.outgoing.n_numbered and not self._n_repeating:
             self._repeat_window(now_ns)
         return events
 
     def _fill_window(self, now_ns: int) -> None:
         if self.state is not LinkState.OPEN:
             return
-        self._outgoing.fill_window()
-        if self._outgoing.n_in_window and self._retransmit_at_ns is None:
+        self.outgoing.fill_window()
+        if self.outgoing.n_in_window and self._retransmit_at_ns is None:
             self._retransmit_at_ns = now_ns + self._retransmit_ns
 
     def _repeat_window(self, now_ns: int) -> None:
-        self._outgoing.repeat()
-        self._n_repeating = self._outgoing.n_numbered + 1  # and one that was not sent before
+        self.outgoing.repeat()
+        self._n_repeating = self.outgoing.n_numbered + 1  # and one that was not sent before
         self._retransmit_at_ns = now_ns + self._retransmit_ns
 
     def _is_fruitless(self) -> bool:
@@ -390,7 +390,7 @@ class Link:
         self._frames.clear()
         self._receipts.clear()
         self._retransmit_at_ns = self._reset_at_ns = self._ping_at_ns = None
-        dropped = self._outgoing.drop_all() if self.role is Role.INITIATOR else ()
+        dropped = self.outgoing.drop_all() if self.role is Role.INITIATOR else ()
         return [LinkLost(reason=reason, dropped=dropped)]
 
 

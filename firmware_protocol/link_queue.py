@@ -43,6 +43,11 @@ class LinkQueue:
         """Payloads that were handed out and are not acknowledged."""
         return self._n_numbered
 
+    @property
+    def has_next(self) -> bool:
+        """Whether ``take`` gives one."""
+        return self._n_handed_out < len(self._in_window)
+
     def add(self, entry: Entry, *, is_urgent: bool) -> None:
         """Let a payload wait."""
         (self._urgent if is_urgent else self._unsent).append(entry)

@@ -40,7 +40,7 @@ from firmware_protocol.messages import (
 )
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm
 
-EncounterFields: TypeAlias = tuple[int, int, int, int, bool, int | None]
+EncounterFields: TypeAlias = tuple[NodeId, int, int, RssiDbm, bool, int | None]
 """Peer, start [ms], duration [ms], RSSI [dBm], whether it is ongoing, and path [mm] of an entry of an encounter batch."""
 
 UplinkFields: TypeAlias = tuple[Values, Values, tuple[Values, ...] | bytes]
@@ -115,12 +115,13 @@ def read_encounters(fields: UplinkFields) -> list[EncounterFields] | None:
     """Return the entries of what ``decode_uplink_fields`` returned, as plain numbers; None where that is no encounter batch."""
     kind, entries = fields[0][0], cast("tuple[Values, ...]", fields[2])
     if kind == _BATCH_KIND:
-        return [
+        plain: Any = [
             (peer, start_ms, (high & _DURATION_HIGH_BITS) << 16 | low, rssi, high >= _ONGOING_BIT, None)
             for peer, start_ms, high, low, rssi in entries
         ]
+        return cast("list[EncounterFields]", plain)  # once for all of them: a NewType costs a call each
     if kind == _BATCH_WITH_PATHS_KIND:
-        return [
+        plain = [
             (
                 peer,
                 start_ms,
@@ -131,6 +132,7 @@ def read_encounters(fields: UplinkFields) -> list[EncounterFields] | None:
             )
             for peer, start_ms, high, low, rssi, path_mm in entries
         ]
+        return cast("list[EncounterFields]", plain)
     return None
 
 

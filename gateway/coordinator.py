@@ -29,11 +29,12 @@ from gateway.backoff import Backoff
 from gateway.config import LinkTable
 from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError, TransportSilentError, first_transport_error
 from gateway.health import Health
+from gateway.line_pace import LinePace
 from gateway.log import EventLog
-from gateway.log_ration import LogRation
 from gateway.outage import OnState, Outage
 from gateway.port_opening import OpenPort, PortOpening
 from gateway.radio import Fate, RadioMessage, RadioOutcome, outcome_of
+from gateway.radio_log import RadioLog
 from gateway.radio_sessions import STEADY_NS, RadioSessions
 from gateway.receipts import Receipts
 from gateway.sendings import Sendings
@@ -67,6 +68,8 @@ class Coordinator:
         is nothing to wait for.
     first_session
         Number of its first session; see ``RadioSessions``.
+    pace
+        Of its line; None: the driver takes no more than the line does.
     """
 
     def __init__(
@@ -81,6 +84,7 @@ class Coordinator:
         first_session: int,
         on_state: OnState | None = None,
         reset_port: OpenPort | None = None,
+        pace: LinePace | None = None,
     ) -> None:
         self.radio = radio
         self.hello: CoordinatorHello | None = None
@@ -90,6 +94,7 @@ class Coordinator:
         self._health = health
         self._host = make_host()
         self._is_held = False
+        self._pace = pace or LinePace(bytes_per_s=None)
         self._wake = asyncio.Event()
         self._sessions = RadioSessions(first=first_session)
         self._receipts = Receipts()
@@ -99,7 +104,7 @@ class Coordinator:
         self._reopen_pause_s = 0.0
         self._outage = Outage(radio=radio, health=health, on_state=on_state)
         self._opening = PortOpening(open_port=open_port, reset_port=reset_port, config=config, health=health, outage=self._outage)
-        self._ration = LogRation()
+        self._log = RadioLog(radio=radio, health=health)
 
     @property
     def is_up(self) -> bool:
@@ -189,7 +194,7 @@ class Coordinator:
             except Exception as error:  # noqa: BLE001  # one radio's fault must not end the gateway, which stops the other radios' animals
                 reason = f"{type(error).__name__}: {error}"
                 self._health.count("radio.broken")
-                self._say(_log.error, "radio.broken", reason=reason, trace=traceback.format_exc())
+                self._log.say(_log.error, "radio.broken", reason=reason, trace=traceback.format_exc())
                 self._outage.begin(reason)
                 self._host = self._make_host()  # what the old one knows may be what broke it
             if self._sessions.was_steady:
@@ -207,6 +212,7 @@ class Coordinator:
     async def _hold(self, transport: Transport) -> None:
         """Keep the dongle open on an open port; ends with the ``TransportError`` that ended it."""
         self._is_held = True
+        self._pace.start_anew()
         self._reopen_pause_s = 0.0
         self._open_host()
         try:
@@ -251,10 +257,7 @@ class Coordinator:
             while True:
                 if (safe := self._receipts.take_ready()) is not None:  # here, so that all payloads of one commit share one acknowledgement
                     self._host.confirm(safe)
-                while frames := self._host.take_frames(at_most=1):  # what is urgent goes before what was not handed out yet
-                    await transport.write(frames[0])
-                if self._hand_over_timed():  # after what waited for the line, or its instant would be too early by all of that
-                    continue
+                await self._write_what_fits(transport)
                 deadline_ns = self._next_deadline_ns()
                 timer.aim(deadline_ns)
                 await self._wake.wait()
@@ -264,21 +267,30 @@ class Coordinator:
         finally:
             timer.stop()
 
-    def _hand_over_timed(self) -> bool:
-        """Make the timed payload that waits, if the dongle can have it now; return whether there is something to write."""
+    async def _write_what_fits(self, transport: Transport) -> None:
+        """Write frame by frame while the line is free: what is urgent goes before all that was not handed out yet."""
+        while self._pace.free_at_ns <= (now_ns := time.monotonic_ns()):
+            self._make_timed(now_ns)
+            frames = self._host.take_frames(at_most=1)
+            if not frames:
+                return
+            await transport.write(frames[0])
+            self._pace.note(len(frames[0]), now_ns=time.monotonic_ns())
+
+    def _make_timed(self, now_ns: int) -> None:
+        """Make the timed payload that waits, if the dongle can have it now: the next to go, but for what is urgent and was sent before."""
         timed = self._sendings.take_timed()
         if timed is None:
-            return False
+            return
         try:
-            outcome = self.send(destination=timed.destination, payload=timed.make(time.monotonic_ns()), is_urgent=True)
+            timed.follow(self.send(destination=timed.destination, payload=timed.make(now_ns), is_urgent=True))
         except RadioUnavailableError as error:
             timed.settle(RadioOutcome(fate=Fate.UNKNOWN, reason=error.reason))
-            return False
-        timed.follow(outcome)
-        return True
 
     def _next_deadline_ns(self) -> int | None:
         deadlines = [self._host.next_deadline_ns(), self._reopen_at_ns, self._sendings.next_deadline_ns]
+        if self._host.has_frames or self._sendings.has_timed:
+            deadlines.append(self._pace.free_at_ns)
         if not self._host.is_open:
             deadlines.append(self._opening_until_ns)
         return min((at for at in deadlines if at is not None), default=None)
@@ -313,7 +325,7 @@ class Coordinator:
                 case NodeSeen():
                     self._health.count("radio.nodes_seen")
                 case CoordinatorSaid(level=level, name=name, text=text):
-                    self._say(_SAID[level], f"dongle.{name}", text=text)
+                    self._log.say(_SAID[level], f"dongle.{name}", text=text)
                 case HostLost():
                     self._lost(event)
         if last is not None:  # the others are done before: writes are committed in their order
@@ -343,7 +355,7 @@ class Coordinator:
         except Exception as error:  # noqa: BLE001  # whatever it is, it comes from this payload alone
             self._health.count("message.broken")
             reason = f"{type(error).__name__}: {error}"
-            self._say(_log.error, "message.broken", payload=message.payload.hex(), reason=reason, trace=traceback.format_exc())
+            self._log.say(_log.error, "message.broken", payload=message.payload.hex(), reason=reason, trace=traceback.format_exc())
             return None
 
     def _identified(self, event: CoordinatorIdentified) -> None:
@@ -351,7 +363,7 @@ class Coordinator:
         if not is_known:
             pan, channel = f"{event.hello.pan_id:04x}", event.hello.channel
             self._health.note_firmware(self.radio, event.description)
-            self._say(_log.info, "radio.identified", firmware=event.description, pan=pan, channel=channel)
+            self._log.say(_log.info, "radio.identified", firmware=event.description, pan=pan, channel=channel)
 
     def _came_up(self) -> None:
         self._sessions.begin(now_ns=time.monotonic_ns())
@@ -386,13 +398,3 @@ class Coordinator:
         for name, count in self._host.faults.items():
             self._health.count(name, count)
         self._host.faults.clear()
-
-    def _say(self, say: Callable[..., None], event: str, **facts: object) -> None:
-        """Log what a dongle can bring about at any speed: so many lines a minute and no more."""
-        n_unsaid = self._ration.ask(now_ns=time.monotonic_ns())
-        if n_unsaid is None:
-            self._health.count("radio.unsaid")
-        elif n_unsaid:
-            say(event, radio=self.radio, unsaid=n_unsaid, **facts)
-        else:
-            say(event, radio=self.radio, **facts)

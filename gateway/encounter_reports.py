@@ -12,7 +12,7 @@ from firmware_protocol.contract.records import EncounterRecord
 from firmware_protocol.errors import RecordError
 from firmware_protocol.message_codec import EncounterFields
 from firmware_protocol.messages import BROADCAST_NODE
-from firmware_protocol.units import NS_PER_MS, NS_PER_S, Nanoseconds, NodeId, RssiDbm
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
 from gateway.clocks import NodeClock
 from gateway.config import EncounterTable
 from gateway.encounters import EncounterMerger, SideReport, margin_of
@@ -71,39 +71,38 @@ class EncounterReports:
         """Return the records that the entries of a biobot's message bring about. ``clock`` is that of the message's boot."""
         if self._is_fresh:
             self._bring_back()
+        name, latest_ms = node.node, sent_ms + MAX_AHEAD_MS
+        taken = [one for one in entries if one[0] != name and one[0] != BROADCAST_NODE and one[1] + one[2] <= latest_ms]
+        self._health.count("encounter.reports", len(taken))
+        if len(taken) < len(entries):
+            self._health.count("encounter.impossible", len(entries) - len(taken))
         records: list[EncounterRecord] = []
-        merge, find = self._merger.merge, self._nodes.find
-        name, own_period_ms, next_horizon_ns = node.node, node.beacon_period_ms, self._next_horizon_ns
-        n_taken = 0
-        for peer, start_ms, duration_ms, rssi_dbm, is_ongoing, path_mm in entries:
-            end_ms = start_ms + duration_ms
-            if peer in (name, BROADCAST_NODE) or end_ms > sent_ms + MAX_AHEAD_MS:
-                continue
-            n_taken += 1
-            t_start_ns, t_end_ns, error_ns = clock.read_span(start_ms, end_ms)
-            other = find(NodeId(peer))
+        if not taken:
+            return records
+        merge, find, n_bridged = self._merger.merge, self._nodes.find, self._n_bridged
+        own_period_ms, next_horizon_ns = node.beacon_period_ms, self._next_horizon_ns
+        spans = clock.read_spans([(start_ms, start_ms + duration_ms) for _, start_ms, duration_ms, *_ in taken])
+        for (peer, _, _, rssi_dbm, is_ongoing, path_mm), (t_start_ns, t_end_ns, error_ns) in zip(taken, spans, strict=True):
+            other = find(peer)
             period_ms = own_period_ms if other is None or other.beacon_period_ms < own_period_ms else other.beacon_period_ms
-            margin_ns = margin_of(beacon_period_ms=period_ms, error_ns=error_ns, n_bridged=self._n_bridged(node, other))
+            margin_ns = margin_of(beacon_period_ms=period_ms, error_ns=error_ns, n_bridged=n_bridged(node, other) if period_ms else 0)
             report = SideReport(
                 node=name,
-                peer=NodeId(peer),
-                t_start_ns=Nanoseconds(t_start_ns),
-                t_end_ns=Nanoseconds(t_end_ns),
-                error_ns=Nanoseconds(error_ns),
-                rssi_dbm=RssiDbm(rssi_dbm),
+                peer=peer,
+                t_start_ns=t_start_ns,
+                t_end_ns=t_end_ns,
+                error_ns=error_ns,
+                rssi_dbm=rssi_dbm,
                 is_ongoing=is_ongoing,
                 margin_ns=margin_ns,
                 period_ns=period_ms * NS_PER_MS,
                 path_mm=path_mm,
             )
             if t_start_ns - margin_ns <= next_horizon_ns:
-                self._late_pairs.add((name, NodeId(peer)) if name < peer else (NodeId(peer), name))
+                self._late_pairs.add((name, peer) if name < peer else (peer, name))
                 if t_start_ns - margin_ns <= self._horizon_ns:
                     self._recall(report)
             records += merge(report)
-        self._health.count("encounter.reports", n_taken)
-        if n_taken < len(entries):
-            self._health.count("encounter.impossible", len(entries) - n_taken)
         return records
 
     def begin_forgetting(self, *, now_ns: int) -> bool:

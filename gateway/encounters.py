@@ -47,7 +47,11 @@ def margin_of(*, beacon_period_ms: int, error_ns: int, n_bridged: int = 0) -> in
         So many beacons lost in a row are bridged as well.
     """
     # 1.15 beacon periods: one lost beacon and its jitter (Encounternet joins gaps below a pulse period and its slack, Rutz et al. 2015).
-    for_error_ns = min(error_ns, MAX_ERROR_MARGIN_NS) if error_ns < _ASSUMED_ERROR_NS else _ASSUMED_MARGIN_NS
+    for_error_ns = error_ns  # as if, not min and max: this is asked for each report, and a call costs as much as all the rest
+    if error_ns > MAX_ERROR_MARGIN_NS:
+        for_error_ns = MAX_ERROR_MARGIN_NS if error_ns < _ASSUMED_ERROR_NS else _ASSUMED_MARGIN_NS
+    if not beacon_period_ms:
+        return for_error_ns
     return max(for_error_ns, (1 + n_bridged) * beacon_period_ms * NS_PER_MS * 115 // 200)
 
 
@@ -205,7 +209,12 @@ def _heard_from(meeting: Meeting) -> int:
 def _overlap(meetings: list[Meeting], cover_start_ns: int, cover_end_ns: int) -> tuple[int, int]:
     """Return begin and end of the slice of ``meetings`` whose covers overlap a span; the latest of them is looked at first."""
     end = len(meetings)
-    if end and meetings[-1].cover_start_ns > cover_end_ns:
+    if not end:
+        return 0, 0
+    last = meetings[-1]
+    if last.cover_end_ns < cover_start_ns:
+        return end, end
+    if last.cover_start_ns > cover_end_ns:
         end = bisect_right(meetings, cover_end_ns, key=_cover_start)
     begin = end
     while begin and meetings[begin - 1].cover_end_ns >= cover_start_ns:

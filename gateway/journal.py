@@ -1,8 +1,8 @@
 """What was heard and decided, on disk before anyone is told (SQLite, WAL, synchronous=FULL, group commit).
 
 Writes are taken in order and committed in groups: while one group is being synced, the next one gathers, so a lone write waits
-for nothing and a flood shares its syncs. A commit that fails (full disk) is tried again until it succeeds: nothing behind it
-is published or acknowledged in between, and nothing is lost. A write that can never be stored costs itself alone.
+for nothing and a flood shares its syncs (``commit_pace``). A commit that fails (full disk) is tried again until it succeeds: nothing
+behind it is published or acknowledged in between, and nothing is lost. A write that can never be stored costs itself alone.
 """
 
 import asyncio
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Self
 
 from firmware_protocol.units import BootId
+from gateway.commit_pace import CommitPace
 from gateway.errors import JournalFullError
 from gateway.health import Health
 from gateway.journal_file import (
@@ -83,12 +84,11 @@ class Journal:
     """The journal of a running gateway; see the module's description. Belongs to one event loop."""
 
     def __init__(self, *, path: Path, file: JournalFile, health: Health, retention: Retention = _KEEP_ALL) -> None:
-        self._path = path
-        self._file = file
-        self._health = health
+        self._path, self._file, self._health = path, file, health
         self._groups: deque[_Group] = deque()
         self._n_waiting = 0
         self._wake = asyncio.Event()
+        self._pace = CommitPace()
         self._head_offset = file.identity.head_offset
         self._next_offset = self._head_offset + 1
         self._oldest_offset = file.oldest_offset()
@@ -101,11 +101,9 @@ class Journal:
         self._retention = retention
         self._watermarks = file.watermarks()
         self._new_watermarks: dict[str, int] = {}
-        self._tidied_at = 0.0
-        self._n_untidied = 0
+        self._tidied_at, self._n_untidied = 0.0, 0
         self._is_oversized = False
-        self._n_undelivered = 0
-        self._undelivered_told_at = -_ALARM_PERIOD_S
+        self._n_undelivered, self._undelivered_told_at = 0, -_ALARM_PERIOD_S
         self._is_behind = self._is_behind_untold = False
         self._damage_told: set[int] = set()
         self._on_alarm: Callable[[str, Mapping[str, str]], None] | None = None
@@ -225,6 +223,7 @@ class Journal:
         group = self._add(write, failing=done)
         if group is not None:
             group.waiting.append(done)
+            self._pace.hurry()
         return done
 
     def join(self, write: JournalWrite) -> asyncio.Future[None]:
@@ -258,6 +257,7 @@ class Journal:
                     continue
             self._wake.clear()
             while self._groups:
+                await self._pace.wait(is_urgent=bool(self._groups[0].waiting) or len(self._groups) > 1)
                 group = self._groups.popleft()
                 if group.segment.n_writes:
                     await self._commit(group)
@@ -267,6 +267,7 @@ class Journal:
     async def drain(self) -> None:
         """Wait until all that was appended is on disk."""
         while self._n_waiting:
+            self._pace.hurry()
             await self.barrier()
 
     def close(self) -> None:
@@ -302,10 +303,9 @@ class Journal:
 
     async def _commit(self, group: _Group) -> None:
         """Commit a group in one transaction, as often as it takes, then tell of it."""
-        loop = asyncio.get_running_loop()
-        segment = group.segment
-        retry_s = _FIRST_RETRY_S
+        loop, segment, retry_s = asyncio.get_running_loop(), group.segment, _FIRST_RETRY_S
         self._commit_begun_s = time.monotonic()
+        self._pace.begin(segment.n_writes, now_s=loop.time())
         while True:
             try:
                 await asyncio.shield(loop.run_in_executor(self._executor, self._file.commit, segment))

@@ -5,7 +5,10 @@ are sensed by beacons, the record's own interval is wider, for the two were near
 (``unheard``).
 """
 
+# ruff: noqa: PLR1730, FURB136  # calls of min and max would be a tenth of what an encounter costs
+
 from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from firmware_protocol.contract.records import EncounterRecord, EncounterSide
 from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
@@ -90,23 +93,24 @@ class Meeting(Struct, kw_only=True, gc=False):
 
     def take(self, report: SideReport) -> bool:
         """Add a report; return whether it says anything new."""
-        final_end_ns = _NEVER_NS if report.is_ongoing else report.t_end_ns
-        side = side_of(report)
-        if report.node < report.peer:
-            old, was_final = self.side_a, self.is_final_a
-            self.side_a = side = side if old is None else _join(old, side)
-            self.final_end_a_ns = max(self.final_end_a_ns, final_end_ns)
-            is_final = self.is_final_a
+        side, is_a = side_of(report), report.node < report.peer
+        old, known_final_ns = (self.side_a, self.final_end_a_ns) if is_a else (self.side_b, self.final_end_b_ns)
+        was_final = _is_final(old, known_final_ns)
+        if old is not None:
+            side = _join(old, side)
+        final_end_ns = known_final_ns if report.is_ongoing or report.t_end_ns < known_final_ns else report.t_end_ns
+        if is_a:
+            self.side_a, self.final_end_a_ns = side, final_end_ns
         else:
-            old, was_final = self.side_b, self.is_final_b
-            self.side_b = side = side if old is None else _join(old, side)
-            self.final_end_b_ns = max(self.final_end_b_ns, final_end_ns)
-            is_final = self.is_final_b
+            self.side_b, self.final_end_b_ns = side, final_end_ns
         cover_start_ns, cover_end_ns = report.t_start_ns - report.margin_ns, report.t_end_ns + report.margin_ns
-        self.cover_start_ns = min(self.cover_start_ns, cover_start_ns)
-        self.cover_end_ns = max(self.cover_end_ns, cover_end_ns)
-        self.period_ns = max(self.period_ns, report.period_ns)
-        return side != old or is_final is not was_final
+        if cover_start_ns < self.cover_start_ns:
+            self.cover_start_ns = cover_start_ns
+        if cover_end_ns > self.cover_end_ns:
+            self.cover_end_ns = cover_end_ns
+        if report.period_ns > self.period_ns:
+            self.period_ns = report.period_ns
+        return old is None or side != old or _is_final(side, final_end_ns) is not was_final
 
     def absorb(self, other: "Meeting") -> None:
         """Add all that is known of another encounter of the pair, which turned out to be the same."""
@@ -127,7 +131,10 @@ class Meeting(Struct, kw_only=True, gc=False):
         """Make the record of it, with a provisional offset."""
         start_ns, end_ns, error_ns, is_ongoing = self._interval(guesses)
         a, b = self.side_a, self.side_b
-        return EncounterRecord(
+        at_start_ns, at_end_ns = start_ns - self.cover_start_ns, self.cover_end_ns - end_ns
+        margin_ns = at_start_ns if at_start_ns < at_end_ns else at_end_ns
+        # A call with more than 15 keywords costs four times as much: CPython makes a dictionary of them (compile.c, STACK_USE_GUIDELINE).
+        record = EncounterRecord(
             gateway=issuer.gateway,
             journal=issuer.journal,
             offset=1,
@@ -141,12 +148,15 @@ class Meeting(Struct, kw_only=True, gc=False):
             t_end_ns=Nanoseconds(end_ns),
             error_ns=Nanoseconds(error_ns),
             is_reciprocal=a is not None and b is not None,
-            is_ongoing=is_ongoing,
-            is_void=is_void,
             # No more than what is left of the cover at either end, so that no two records of a pair cover the same instant.
-            margin_ns=max(0, min(start_ns - self.cover_start_ns, self.cover_end_ns - end_ns)),
+            margin_ns=margin_ns if margin_ns > 0 else 0,
             sides=(a, b) if a is not None and b is not None else (a,) if a is not None else () if b is None else (b,),
         )
+        if is_ongoing:
+            force_setattr(record, "is_ongoing", is_ongoing)
+        if is_void:
+            force_setattr(record, "is_void", is_void)
+        return record
 
     def _interval(self, guesses: Guesses) -> tuple[int, int, int, bool]:
         """Return start, end and bound of their error [ns], and whether the encounter goes on."""
@@ -161,11 +171,13 @@ class Meeting(Struct, kw_only=True, gc=False):
             shift_ns = int(earlier * period_ns)
             error_ns = (one.error_ns or 0) + int(half * period_ns)
             return one.t_start_ns - shift_ns, one.t_end_ns if is_ongoing else one.t_end_ns + shift_ns, error_ns, is_ongoing
-        start_ns: int = min(a.t_start_ns, b.t_start_ns)
-        end_ns: int = max(a.t_end_ns, b.t_end_ns)
-        error_ns = max(a.error_ns or 0, b.error_ns or 0)
+        start_ns: int = a.t_start_ns if a.t_start_ns < b.t_start_ns else b.t_start_ns
         apart_ns = a.t_end_ns - b.t_end_ns
-        is_ongoing = not ((self.is_final_a and apart_ns >= 0) or (self.is_final_b and apart_ns <= 0))
+        end_ns: int = a.t_end_ns if apart_ns > 0 else b.t_end_ns
+        error_ns, error_b_ns = a.error_ns or 0, b.error_ns or 0
+        if error_b_ns > error_ns:
+            error_ns = error_b_ns
+        is_ongoing = not ((apart_ns >= 0 and self.is_final_a) or (apart_ns <= 0 and self.is_final_b))
         if not period_ns:
             return start_ns, end_ns, error_ns, is_ongoing
         earlier, half = guesses.between(self.gap())

@@ -16,19 +16,18 @@ _STREAMS: dict[type, Stream] = {EncounterRecord: Stream.ENCOUNTERS, ModeRecord: 
 
 def batches_of(committed: Committed, *, gateway: str) -> Iterator[tuple[Stream, EncodedBatch]]:
     """Yield what was committed as batches of one kind each, and the stream of each."""
-    by_stream: dict[Stream, list[msgspec.Raw]] = {}
-    for record, body in zip(committed.records, committed.bodies, strict=True):
-        by_stream.setdefault(_STREAMS[type(record)], []).append(msgspec.Raw(body))
-    for stream, members in by_stream.items():
+    kinds = list(map(type, committed.records))
+    for kind in dict.fromkeys(kinds):
+        members = [body for of, body in zip(kinds, committed.bodies, strict=True) if of is kind]
         for at in range(0, len(members), MAX_BATCH):
             yield (
-                stream,
+                _STREAMS[kind],
                 EncodedBatch(
                     gateway=gateway,
                     journal=committed.records[0].journal,
                     head_offset=committed.head_offset,
                     oldest_offset=committed.oldest_offset,
-                    records=tuple(members[at : at + MAX_BATCH]),
+                    records=tuple(map(msgspec.Raw, members[at : at + MAX_BATCH])),
                 ),
             )
 

@@ -54,6 +54,11 @@ class Sendings:
         """When the first of them is overdue."""
         return next(iter(self._waiting.values())).deadline_ns if self._waiting else None
 
+    @property
+    def has_timed(self) -> bool:
+        """Whether a timed payload waits for the port."""
+        return self._timed is not None
+
     def add(self, ticket: int, *, deadline_ns: int) -> "asyncio.Future[RadioOutcome]":
         """Return the future of a payload; no deadline is before that of an earlier one."""
         future: asyncio.Future[RadioOutcome] = asyncio.get_running_loop().create_future()

@@ -33,6 +33,7 @@ from gateway.intake import Intake, IntakeListeners
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
 from gateway.journal_file import Retention
+from gateway.line_pace import LinePace
 from gateway.log import EventLog, log_what_nobody_caught
 from gateway.mission import Mission
 from gateway.monitor.server import Monitor
@@ -43,7 +44,7 @@ from gateway.service_manager import ServiceManager
 from gateway.stimulation import StimulationGate
 from gateway.transports.can_port import CanBuses
 from gateway.transports.fair_share import BEGUN, FairShare, LoopLoad
-from gateway.transports.spec import PortSpec, can_reset, parse_port_spec
+from gateway.transports.spec import PortSpec, bytes_per_s, can_reset, parse_port_spec
 from gateway.vitals import Vitals
 
 _log = EventLog(__name__)
@@ -159,6 +160,7 @@ class Service:
                 health=health.of_radio(name),
                 first_session=journal.identity.first_session,
                 on_state=partial(self._on_radio_state, bus),
+                pace=LinePace(bytes_per_s=bytes_per_s(spec)),
             )
             for name, spec in ports.items()
         }

@@ -14,6 +14,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from firmware_protocol.landmarks import choose_landmarks, select_landmarks
 from simulator.arenas.scenarios import find_scenario
 from simulator.presets import find_preset
@@ -60,10 +62,17 @@ def measure_cover(graph: Mapping[int, Collection[int]], *, seed: int, n_draws: i
     chosen = choose_landmarks(graph, count=count, eligible=graph)
     given = [(one.members, len(one.picks)) for one in chosen if one.picks]
     draw = random.Random(f"landmark-choice {seed}")
-    distances = {node: _hops_from(graph, node) for node in graph}
+    ids = sorted(graph)
+    at = {node: index for index, node in enumerate(ids)}
+    hops = np.full((len(ids), len(ids)), len(ids), dtype=np.int32)
+    for node in ids:
+        for other, distance in _hops_from(graph, node).items():
+            hops[at[node], at[other]] = distance
+    covered = np.array([at[node] for members, _ in given for node in members])
 
     def radius(picks: Collection[int]) -> int:
-        return max(min(distances[node][pick] for pick in picks if pick in distances[node]) for members, _ in given for node in members)
+        chosen_rows = np.array([at[pick] for pick in picks])
+        return int(hops[np.ix_(covered, chosen_rows)].min(axis=1).max())
 
     drawn = [radius([pick for members, share in given for pick in draw.sample(members, share)]) for _ in range(n_draws)]
     return Cover(

@@ -16,10 +16,14 @@ from firmware_protocol.crc import CRC_INITIAL
 from firmware_protocol.message_codec import decode_downlink, encode_uplink
 from firmware_protocol.messages import (
     Acknowledge,
+    Action,
     Capability,
     Hello,
     HelloRequest,
     Status,
+    Stimulate,
+    StimulateReply,
+    StimulationResult,
     TimeSyncReply,
     TimeSyncRequest,
     Uplink,
@@ -49,6 +53,8 @@ _BOOTED_NS: Final = 1_000 * NS_PER_S
 """Every backpack was started so long before the load, and each some milliseconds later than the one before."""
 
 _REPEAT_NS: Final = NS_PER_S
+_SPREAD_NS: Final = NS_PER_S
+"""Within which a broadcast is answered (WIRE_FORMAT.md §6.5); here in the order of numbers."""
 _MAX_REPEAT_NS: Final = 30 * NS_PER_S
 _BATCH: Final = 0x02
 _HEADER: Final = struct.Struct("<BBHHHI")  # WIRE_FORMAT.md §5.1
@@ -149,6 +155,8 @@ class LoadedBackpack:
     """When what is to be said again, and how long it waited."""
     _answers: deque[bytes] = field(default_factory=deque)
     _first_words: deque[Uplink] = field(default_factory=deque)
+    _late_words: deque[tuple[int, Uplink]] = field(default_factory=deque)
+    """Answers to a broadcast, and when each is said."""
     _offer: "tuple[int, int | None] | None" = None
     """Number and wait of the message that the dongle was offered; no number: an answer."""
 
@@ -171,6 +179,8 @@ class LoadedBackpack:
 
     def next_payload(self, now_ns: int) -> bytes | None:
         """Return what the radio is offered now; ``was_taken`` or ``was_refused`` says what became of it."""
+        while self._late_words and self._late_words[0][0] <= now_ns:
+            self._first_words.append(self._late_words.popleft()[1])
         if self._answers:
             self._offer = (-1, None)
             return self._answers[0]
@@ -219,8 +229,8 @@ class LoadedBackpack:
         if number >= 0 and wait_ns is None:
             del self._outstanding[number]
 
-    def hear(self, payload: bytes, *, now_ns: int) -> None:
-        """Take a payload from the base station."""
+    def hear(self, payload: bytes, *, now_ns: int, is_broadcast: bool = False) -> None:
+        """Take a payload from the base station; every command is answered *done*, and that is all that it does."""
         decoded = decode_downlink(payload)
         if not isinstance(decoded, tuple):
             return
@@ -235,6 +245,12 @@ class LoadedBackpack:
                 message = TimeSyncReply(token=token, received_ms=Milliseconds(self._tick(now_ns)))
                 self._answers.append(encode_uplink(self._header(0, now_ns), message))
                 self.is_synchronised = True
+            case Stimulate(command=command, action=action) if not is_broadcast or action is Action.STOP:
+                mode = WireMode.S if action is Action.STOP else WireMode.CRW
+                executed_ms = Milliseconds(self._tick(now_ns))
+                reply = StimulateReply(command=command, result=StimulationResult.DONE, executed_ms=executed_ms, mode=mode)
+                wait_ns = self.node * _SPREAD_NS // self.timetable.n_biobots if is_broadcast else 0
+                self._late_words.append((now_ns + wait_ns, reply))
             case HelloRequest() if not self._first_words:
                 self._first_words.append(self._hello())
             case _:

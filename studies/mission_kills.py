@@ -2,10 +2,11 @@
 
 A simulated swarm walks; a real gateway runs the mission. SIGKILL ends the gateway, and another one is started on the same journal, again
 and again, until the mission is done. Then the journal says whether each phase came once, whether landmarks were chosen once, and whether
-those that stand at the end, by the reports of their biobots, are those that were chosen and those that replaced who did not answer.
+those that stand at the end, by the simulator's truth, are those that were chosen and those that replaced who did not answer.
 """
 
 import argparse
+import csv
 import random
 import signal
 import sqlite3
@@ -92,16 +93,23 @@ def kill_a_mission(plan: Plan, *, out: Path) -> Ending:
         _start_gateway(parts, plan, out=out)
         _wait_until(parts, journal, phase=MissionPhase.DONE)
         parts.stop("gateway")
-    problems = check_journal(journal, n_landmarks=plan.landmarks)
+        parts.stop("simulator")
+    problems = check_mission(journal, truth=out / "truth" / "modes.csv", n_landmarks=plan.landmarks)
     duration_s = time.monotonic() - begun_s
     return Ending(killed_in=tuple(killed_in), n_killed_choosing=n_killed_choosing, problems=tuple(problems), duration_s=duration_s)
 
 
-def check_journal(journal: Path, *, n_landmarks: int) -> list[str]:
-    """Return what is wrong with the mission that a journal tells of; nothing, where all is well."""
+def check_mission(journal: Path, *, truth: Path, n_landmarks: int) -> list[str]:
+    """Return what is wrong with the mission that a journal tells of; nothing, where all is well.
+
+    Parameters
+    ----------
+    truth
+        The simulator's spells of all insects.
+    """
     reader = JournalReader(journal)
     try:
-        records, modes = reader.read_recent_missions(limit=_WHOLE), reader.read_recent_modes(limit=_WHOLE)
+        records = reader.read_recent_missions(limit=_WHOLE)
     finally:
         reader.close()
     problems: list[str] = []
@@ -126,8 +134,9 @@ def check_journal(journal: Path, *, n_landmarks: int) -> list[str]:
         problems.append(f"landmarks {sorted(done.landmarks)} are not those chosen {sorted(picks)}")
     if len(done.landmarks) != n_landmarks:
         problems.append(f"{len(done.landmarks)} landmarks; wanted {n_landmarks}")
-    spells = {(record.node, record.boot, record.sequence): record for record in modes}
-    standing = {one.node for one in spells.values() if one.t_end_ns is None and one.mode is Mode.S and one.cause is Cause.COMMAND}
+    with truth.open(newline="") as file:
+        last = {int(row["id"]): row for row in sorted(csv.DictReader(file), key=lambda row: float(row["t_start_s"]))}
+    standing = {node for node, row in last.items() if (row["mode"], row["cause"]) == (Mode.S.value, Cause.COMMAND.value)}
     if standing != set(done.landmarks):
         problems.append(f"{sorted(standing)} stand by command, but the landmarks are {sorted(done.landmarks)}")
     return problems

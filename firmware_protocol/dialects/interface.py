@@ -112,6 +112,11 @@ class Host(Protocol):
         """Payloads can be sent now."""
         ...
 
+    @property
+    def has_frames(self) -> bool:
+        """``take_frames`` has something to give now."""
+        ...
+
     def open(self, *, session: int, now_ns: int) -> list[HostEvent]:
         """Begin with a dongle in an unknown state. ``session`` is a number the last opening did not have; not every dialect needs it."""
         ...

@@ -99,6 +99,11 @@ class NativeHost:
         """Payloads can be sent now."""
         return self._link.state is LinkState.OPEN
 
+    @property
+    def has_frames(self) -> bool:
+        """``take_frames`` has something to give now."""
+        return self._link.has_frames or self._safe_receipt > self._confirmed_receipt
+
     def open(self, *, session: int, now_ns: int) -> list[HostEvent]:
         """Begin a session under a number the last one did not have."""
         self._decoder = self._framing.make_decoder()
@@ -150,8 +155,7 @@ class NativeHost:
 
     def take_frames(self, *, at_most: int | None = None) -> list[bytes]:
         """Return what is to be written; see ``Host.take_frames``. All that was confirmed since the last call shares one ACK."""
-        safe = self._unconfirmed[0] - 1 if self._unconfirmed else self._newest_receipt
-        if safe > self._confirmed_receipt:
+        if (safe := self._safe_receipt) > self._confirmed_receipt:
             self._confirmed_receipt = safe
             self._link.confirm(safe)
         return [self._framing.encode(body) for body in self._link.take_frames(at_most=at_most)]
@@ -163,6 +167,10 @@ class NativeHost:
     def handle_deadline(self, *, now_ns: int) -> list[HostEvent]:
         """Repeat what was not answered, or give the dongle up."""
         return self._take(self._link.handle_deadline(now_ns=now_ns), now_ns=now_ns)
+
+    @property
+    def _safe_receipt(self) -> int:
+        return self._unconfirmed[0] - 1 if self._unconfirmed else self._newest_receipt
 
     def _take(self, events: list[LinkEvent], *, now_ns: int) -> list[HostEvent]:
         taken: list[HostEvent] = []

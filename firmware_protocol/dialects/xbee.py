@@ -120,6 +120,11 @@ class XBeeHost:
         """Payloads can be sent now."""
         return self._is_open
 
+    @property
+    def has_frames(self) -> bool:
+        """``take_frames`` has something to give now."""
+        return bool(self._frames or self._launched)
+
     def open(self, *, session: int, now_ns: int) -> list[HostEvent]:  # noqa: ARG002  # this dialect has no sessions
         """Begin with a module in an unknown state."""
         self._close()

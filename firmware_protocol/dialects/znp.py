@@ -118,6 +118,11 @@ class ZnpHost:
         self._check_at_ns = 0
         self._permit_at_ns: int | None = None
 
+    @property
+    def has_frames(self) -> bool:
+        """``take_frames`` has something to give now."""
+        return bool(self._frames)
+
     def open(self, *, session: int, now_ns: int) -> list[HostEvent]:  # noqa: ARG002  # the dialect has no sessions
         """Begin with a dongle in an unknown state; what an earlier opening had not settled is forgotten."""
         self._forget_all()

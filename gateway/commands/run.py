@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--landmarks", type=int, metavar="N", help="how many landmarks (default: a share of the biobots)")
     parser.add_argument("--landmark-share", type=float, metavar="X", help="that share (default: 0.15)")
     parser.add_argument("--exploration-s", type=float, metavar="S", help="how long exploration lasts (default: until stopped)")
+    parser.add_argument("--redisperse-every-s", type=float, metavar="S", help="then all walk, and others become landmarks (default: never)")
     parser.add_argument("--monitor", metavar="HOST:PORT", help="answer /metrics, /healthz and /readyz over HTTP here (default: nowhere)")
     parser.add_argument("--log-level", choices=["DEBUG", "INFO", "WARNING", "ERROR"])
     parser.add_argument("--log-format", choices=["auto", "text", "json"], help="auto: text on a terminal, else JSON (default: auto)")
@@ -89,6 +90,7 @@ def run(options: argparse.Namespace) -> int:
             "mission.n_landmarks": options.landmarks,
             "mission.landmark_share": options.landmark_share,
             "mission.exploration_s": options.exploration_s,
+            "mission.redisperse_every_s": options.redisperse_every_s,
         },
         flag_names=_FLAG_NAMES,
         tries_places=options.check_config,

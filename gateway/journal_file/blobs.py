@@ -9,7 +9,7 @@ import struct
 import sys
 import zlib
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from firmware_protocol.units import BootId, NodeId
 from gateway.journal_file.writes import UplinkReport
@@ -63,18 +63,27 @@ def unpack_records(packed: bytes) -> list[bytes]:
     DamagedSegmentError
         The lengths do not add up.
     """
-    n_records = int.from_bytes(packed[:4], "little")
-    end = 4 + 4 * n_records
-    lengths = array("I", packed[4:end]) if len(packed) >= end else array("I")
-    if sys.byteorder == "big":
-        lengths.byteswap()
-    if len(packed) < 4 or len(lengths) != n_records or end + sum(lengths) != len(packed):
-        raise DamagedSegmentError("the lengths of its records do not add up")
+    lengths, end = _read_lengths(packed)
     bodies = []
     for length in lengths:
         bodies.append(packed[end : end + length])
         end += length
     return bodies
+
+
+def join_records(parts: Sequence[bytes]) -> bytes:
+    """Return the records of neighbours as those of one segment, without looking at each.
+
+    Raises
+    ------
+    DamagedSegmentError
+        The lengths of one do not add up.
+    """
+    ends = [_read_lengths(part)[1] for part in parts]
+    n_records = sum(end - 4 for end in ends) // 4
+    lengths = (part[4:end] for part, end in zip(parts, ends, strict=True))
+    bodies = (part[end:] for part, end in zip(parts, ends, strict=True))
+    return b"".join((n_records.to_bytes(4, "little"), *lengths, *bodies))
 
 
 def pack_report(report: UplinkReport) -> bytes:
@@ -180,6 +189,18 @@ def checksum(*parts: bytes) -> int:
     for part in parts:
         total = zlib.crc32(part, total)
     return total
+
+
+def _read_lengths(packed: bytes) -> tuple["array[int]", int]:
+    """Return the length of each record, and where the first one begins."""
+    n_records = int.from_bytes(packed[:4], "little")
+    end = 4 + 4 * n_records
+    lengths = array("I", packed[4:end]) if len(packed) >= end else array("I")
+    if sys.byteorder == "big":
+        lengths.byteswap()
+    if len(packed) < 4 or len(lengths) != n_records or end + sum(lengths) != len(packed):
+        raise DamagedSegmentError("the lengths of its records do not add up")
+    return lengths, end
 
 
 def _pack_numbers(numbers: Iterable[int]) -> bytes:

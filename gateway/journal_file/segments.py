@@ -3,11 +3,14 @@
 All that can be wrong with a write is found when it is added: a segment that was gathered can be stored.
 """
 
+# ruff: noqa: PLR1730  # calls of min and max for each record cost as much as encoding a third of it
+
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
+from msgspec.structs import force_setattr
 
 from firmware_protocol.contract.records import (
     EncounterRecord,
@@ -22,11 +25,11 @@ from gateway.journal_file.blobs import (
     REPORTS_COMPRESSED,
     checksum,
     compress,
+    join_records,
     pack_pairs,
     pack_records,
     pack_report,
     pair_key,
-    unpack_records,
 )
 from gateway.journal_file.writes import AuditEntry, JournalWrite, UplinkReport
 
@@ -97,20 +100,24 @@ class SegmentBuilder:
 
     def _add_records(self, records: tuple[JournalRecord, ...]) -> None:
         bodies, pairs, states = [], [], []
-        low, high = self._min_start, self._max_end
+        low, high, size = self._min_start, self._max_end, 0
         offset = self.next_offset
         for record in records:
             # The writer handed it over and it was told to nobody: it is made whole here, not changed.
-            msgspec.structs.force_setattr(record, "offset", offset)
+            force_setattr(record, "offset", offset)
             body = encode_journal_record(record)
             if isinstance(record, EncounterRecord):
-                anchor_ns = record.wall_anchor_ns
-                low, high = min(low, record.t_start_ns + anchor_ns), max(high, record.t_end_ns + anchor_ns)
+                start_ns, end_ns = record.t_start_ns + record.wall_anchor_ns, record.t_end_ns + record.wall_anchor_ns
+                if start_ns < low:
+                    low = start_ns
+                if end_ns > high:
+                    high = end_ns
                 pairs.append(pair_key(record.node_a, record.node_b))
             else:
                 states.append((offset, MISSION if isinstance(record, MissionRecord) else MODE, body))
                 pairs.append(NO_PAIR)
             bodies.append(body)
+            size += len(body)
             offset += 1
         _check_range(low, high)
         self._min_start, self._max_end = low, high
@@ -118,7 +125,7 @@ class SegmentBuilder:
         self.bodies += bodies
         self._pairs += pairs
         self._states += states
-        self.size += sum(map(len, bodies))
+        self.size += size
 
     def seal(self, *, segment: int, now_wall_ns: int, ran_ns: int, boot: int, audit_head: ChainHead) -> "SealedSegment":
         """Return it ready for the disk, as segment number ``segment``; its audit rows follow on ``audit_head``."""
@@ -142,7 +149,7 @@ class SegmentBuilder:
             placed = map(place, (*texts, entry.request, entry.body, audit_head.chain))
             cells = (number, entry.wall_ns, ran_ns, boot, entry.mono_ns, storable_node(entry), entry.wire_command, entry.train_ms)
             audits.append((*cells, *itertools.chain.from_iterable(placed)))
-        contents = _store(self.bodies, pack_pairs(self._pairs), b"".join(self._reports))
+        contents = _store(pack_records(self.bodies) if self.bodies else b"", pack_pairs(self._pairs), b"".join(self._reports))
         has_encounters = self._max_end >= self._min_start
         return SealedSegment(
             segment=segment,
@@ -226,12 +233,14 @@ def join_contents(parts: Sequence[tuple[bytes, bytes, bytes]]) -> Contents:
     DamagedSegmentError
         The records of one cannot be told apart.
     """
-    bodies = [body for _, records, _ in parts if records for body in unpack_records(records)]
-    return _store(bodies, b"".join(pairs for pairs, _, _ in parts), b"".join(reports for _, _, reports in parts))
+    records = [records for _, records, _ in parts if records]
+    return _store(
+        join_records(records) if records else b"", b"".join(pairs for pairs, _, _ in parts), b"".join(reports for _, _, reports in parts)
+    )
 
 
-def _store(bodies: list[bytes], packed_pairs: bytes, reports: bytes) -> Contents:
-    stored_records, is_compressed = compress(pack_records(bodies) if bodies else b"")
+def _store(packed_records: bytes, packed_pairs: bytes, reports: bytes) -> Contents:
+    stored_records, is_compressed = compress(packed_records)
     stored_reports, are_compressed = compress(reports)
     encoding = (RECORDS_COMPRESSED if is_compressed else 0) | (REPORTS_COMPRESSED if are_compressed else 0)
     crc = checksum(packed_pairs, stored_records, stored_reports)

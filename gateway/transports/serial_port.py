@@ -22,8 +22,8 @@ _ResultT = TypeVar("_ResultT")
 
 _READ_SIZE = 4096
 _WRITE_TIMEOUT_S = 5.0
-_MAX_WAITING = 300
-"""Bytes that may wait in the driver before the next frame is written: about one frame of at most 255 bytes."""
+_MAX_WAITING = 100
+"""Bytes that may wait in the driver before the next frame is written: about one frame, of 40 to 90 bytes where it carries a payload."""
 
 _OPEN_TIMEOUT_S = 10.0
 _CLOSE_TIMEOUT_S = 5.0

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeAlias
 from urllib.parse import parse_qsl
 
-from firmware_protocol.dialects.choice import DEFAULT_DIALECT, DIALECTS, FORMING_DIALECTS
+from firmware_protocol.dialects.choice import CAN_DIALECTS, DEFAULT_DIALECT, DIALECTS, FORMING_DIALECTS
 from firmware_protocol.dialects.interface import NetworkWish
 from gateway.errors import TransportSpecError
 from gateway.transports.can_port import CanBuses
@@ -23,6 +23,7 @@ from gateway.transports.tcp import open_tcp
 DEFAULT_BAUD = 115_200
 
 _MAX_BAUD = 4_000_000
+_BITS_PER_BYTE = 10  # start bit, eight data bits, stop bit
 _MAX_HOST = 253  # RFC 1035, 2.3.4: 255 octets with the lengths of the labels, of at most 63 octets each
 _MAX_LABEL = 63
 _USUAL_RESETS = {"znp": LineReset.RTS}
@@ -48,10 +49,11 @@ class SerialSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TcpSpec:
-    """A TCP port."""
+    """A TCP port; ``baud`` is that of the serial line behind it."""
 
     host: str
     port: int
+    baud: int = DEFAULT_BAUD
     dialect: str = DEFAULT_DIALECT
     network: NetworkWish | None = None
 
@@ -149,6 +151,11 @@ def _device_of(port: PortSpec) -> str:
             return ""
 
 
+def bytes_per_s(spec: PortSpec) -> float | None:
+    """Return what the serial line of a port carries [bytes/s]; None where there is none."""
+    return None if isinstance(spec, CanSpec) or spec.dialect in CAN_DIALECTS else spec.baud / _BITS_PER_BYTE
+
+
 def can_reset(spec: PortSpec) -> bool:
     """Return whether a port says how its dongle is reset by its line."""
     return isinstance(spec, SerialSpec) and spec.reset is not LineReset.NONE
@@ -160,17 +167,14 @@ def _parse_serial(spec: str, rest: str) -> SerialSpec:
         raise TransportSpecError(spec=spec, reason="names no device")
     if "\0" in path:
         raise TransportSpecError(spec=spec, reason="the device's path has a null character in it")
-    baud = options.get("baud", str(DEFAULT_BAUD))
-    if not 1 <= _read_number(baud, with_hex=False) <= _MAX_BAUD:
-        raise TransportSpecError(spec=spec, reason=f"baud is {baud!r}, but must be a number from 1 to {_MAX_BAUD}")
     dialect = _dialect(spec, options)
     return SerialSpec(
-        path=path, baud=int(baud), dialect=dialect, network=_network(spec, options), reset=_reset(spec, options, dialect=dialect)
+        path=path, baud=_baud(spec, options), dialect=dialect, network=_network(spec, options), reset=_reset(spec, options, dialect=dialect)
     )
 
 
 def _parse_tcp(spec: str, rest: str) -> TcpSpec:
-    place, options = _split_options(spec, rest, allowed=("dialect", *_NETWORK_OPTIONS))
+    place, options = _split_options(spec, rest, allowed=("baud", "dialect", *_NETWORK_OPTIONS))
     host, colon, port = place.rpartition(":")
     if host.startswith("[") and host.endswith("]"):
         host = host[1:-1]
@@ -180,7 +184,7 @@ def _parse_tcp(spec: str, rest: str) -> TcpSpec:
         raise TransportSpecError(spec=spec, reason=f"the host {why}")
     if not 1 <= _read_number(port, with_hex=False) <= 65_535:
         raise TransportSpecError(spec=spec, reason=f"the port is {port!r}, but must be a number from 1 to 65535")
-    return TcpSpec(host=host, port=int(port), dialect=_dialect(spec, options), network=_network(spec, options))
+    return TcpSpec(host=host, port=int(port), baud=_baud(spec, options), dialect=_dialect(spec, options), network=_network(spec, options))
 
 
 def _split_options(spec: str, rest: str, *, allowed: tuple[str, ...]) -> tuple[str, dict[str, str]]:
@@ -198,6 +202,13 @@ def _split_options(spec: str, rest: str, *, allowed: tuple[str, ...]) -> tuple[s
             raise TransportSpecError(spec=spec, reason=f"option {key!r} is given twice")
         options[key] = value
     return place, options
+
+
+def _baud(spec: str, options: dict[str, str]) -> int:
+    baud = options.get("baud", str(DEFAULT_BAUD))
+    if not 1 <= _read_number(baud, with_hex=False) <= _MAX_BAUD:
+        raise TransportSpecError(spec=spec, reason=f"baud is {baud!r}, but must be a number from 1 to {_MAX_BAUD}")
+    return int(baud)
 
 
 def _dialect(spec: str, options: dict[str, str]) -> str:

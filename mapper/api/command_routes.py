@@ -10,7 +10,6 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Query, Response
 
 from firmware_protocol.contract.commands import PulseRequest, Refusal, StimulationAction, WaveformName
-from firmware_protocol.contract.mission_orders import MissionAction
 from firmware_protocol.units import EVERYBODY, NodeId
 from mapper.api.command_schemas import (
     MAX_WAIT_S,
@@ -205,7 +204,7 @@ def add_mission_routes(router: APIRouter, services: Services) -> None:
     async def post_order(body: OrderBody) -> Response:
         """Order the mission of a gateway, or of each, to begin, pause, go on, choose landmarks, or end; the same ``id`` again is one."""
         order, answers = await services.mission.order(
-            action=MissionAction(body.action), operator=body.operator, gateway=body.gateway, ttl_ms=body.ttl_ms, order_id=body.id
+            action=body.action, operator=body.operator, gateway=body.gateway, ttl_ms=body.ttl_ms, order_id=body.id
         )
         return json_response(view_order(order, answers))
 

@@ -4,6 +4,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from firmware_protocol.contract.mission_orders import MissionAction
 from mapper.api.schemas import AnswerModel, NodeNumber, NodeText
 from mapper.emergency_stop import MAX_STOP_ID
 
@@ -101,7 +102,7 @@ class OrderBody(_Body):
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"action": "pause", "operator": "anna"}]})
 
-    action: Literal["start", "pause", "resume", "select", "redisperse", "finish"]
+    action: Annotated[MissionAction, Field(strict=False)]
     operator: Operator
     gateway: GatewayName | None = Field(default=None, description="Whose mission; none: each that takes it")
     ttl_ms: int = Field(default=5_000, ge=1, le=60_000)
@@ -226,7 +227,7 @@ class MissionView(AnswerModel):
 
 
 class OrderAnswerView(AnswerModel):
-    """What one gateway answered to an order."""
+    """What one gateway answered to an order; further fields are as CONTRACT.md has them."""
 
     gateway: str
     is_taken: bool

@@ -85,12 +85,11 @@ def view_mission(records: Iterable[MissionRecord]) -> dict[str, object]:
 
 def view_order(order: MissionOrder, answers: Iterable[MissionAnswer]) -> dict[str, object]:
     """Describe an order and its answers."""
-    told = ("gateway", "is_taken", "phase", "landmarks", "reason")
     return {
         "id": order.order_id,
         "action": order.action,
         "operator": order.operator,
-        "answers": [{name: getattr(answer, name) for name in told} for answer in answers],
+        "answers": [{name: getattr(answer, name) for name in answer.__struct_fields__ if name != "order_id"} for answer in answers],
     }
 
 

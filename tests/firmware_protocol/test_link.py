@@ -283,7 +283,7 @@ def test_a_loss_is_made_good_without_a_timer_and_brings_about_no_more_than_a_win
     for end, n_sent in ((0, n_up), (1, n_down)):
         assert line.received[end] == [b"%d" % number for number in range(len(line.received[end]))]
         assert lost or len(line.received[end]) == n_sent
-        assert line.ends[1 - end].n_repeated <= len(lost) * wire.base.config.window
+        assert line.ends[1 - end].outgoing.n_repeated <= len(lost) * wire.base.config.window
 
 
 @pytest.mark.parametrize("missing", [1, 2, 9])

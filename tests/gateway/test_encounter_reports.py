@@ -134,7 +134,7 @@ def test_too_many_encounters_leave_memory_whatever_the_window(tmp_path: Path) ->
         side = _Side(tmp_path / "j", max_in_memory=1_000)
         running = asyncio.ensure_future(side.journal.run())
         for at in range(2_500):
-            side.take((2 + at, _SENT_MS - 60_000 + at * 20, 1, -60, False, None))
+            side.take((NodeId(2 + at), _SENT_MS - 60_000 + at * 20, 1, RssiDbm(-60), False, None))
         merger = side.reports._merger
         assert len(merger) == 2_500
         assert side.reports.begin_forgetting(now_ns=side.now_ns - 3_600 * NS_PER_S), "so nothing is older than the window"
@@ -243,10 +243,10 @@ def test_a_wall_clock_set_between_two_starts_does_not_bring_back_a_stale_revisio
     """A third start hears the other side, after an older encounter or not: it has to go on from the second start's revision."""
     wall_ns, begin_ms = 1_790_000_000 * NS_PER_S, _SENT_MS - 700_000
     told: list[EncounterRecord] = []
-    others: tuple[EncounterFields, ...] = ((2, begin_ms - 200_000, 5_000, -50, False, None),) if is_recalled else ()
+    others: tuple[EncounterFields, ...] = ((NodeId(2), begin_ms - 200_000, 5_000, RssiDbm(-50), False, None),) if is_recalled else ()
     for at_ns, node, entries in (
-        (wall_ns, 1, ((2, begin_ms, 20_000, -50, True, None),)),
-        (wall_ns + step_s * NS_PER_S, 1, ((2, begin_ms, 60_000, -50, True, None),)),
+        (wall_ns, 1, ((NodeId(2), begin_ms, 20_000, RssiDbm(-50), True, None),)),
+        (wall_ns + step_s * NS_PER_S, 1, ((NodeId(2), begin_ms, 60_000, RssiDbm(-50), True, None),)),
         (wall_ns + step_s * NS_PER_S, 1, others),
         (wall_ns + step_s * NS_PER_S, 2, ((1, begin_ms, 90_000, -50, False, None),)),
     ):

@@ -25,6 +25,7 @@ from gateway.journal_file.blobs import (
     DamagedSegmentError,
     compress,
     decompress,
+    join_records,
     pack_records,
     pack_report,
     unpack_records,
@@ -89,6 +90,11 @@ def _commit(file: JournalFile, *writes: JournalWrite, first_offset: int) -> int:
 def test_records_come_back_as_they_were_packed(bodies: list[bytes]) -> None:
     stored, is_compressed = compress(pack_records(bodies))
     assert unpack_records(decompress(stored, is_compressed=is_compressed)) == bodies
+
+
+@given(st.lists(st.lists(st.binary(max_size=20), min_size=1, max_size=5), min_size=1, max_size=5))
+def test_joined_segments_are_one_segment_of_all_their_records(parts: list[list[bytes]]) -> None:
+    assert join_records([pack_records(bodies) for bodies in parts]) == pack_records([body for bodies in parts for body in bodies])
 
 
 @given(bodies=st.lists(st.binary(max_size=20), min_size=1, max_size=9), cut=st.integers(0, 60), flip=st.integers(0, 35))

@@ -123,7 +123,7 @@ def test_no_frame_stands_behind_more_than_about_one_other_on_a_serial_line(sizes
                 os.read(far_end, takes[at % len(takes)])
                 at += 1
         await sending
-        assert max(behind) <= 300
+        assert max(behind) <= 100
         await transport.aclose()
         os.close(line)
         os.close(far_end)

@@ -1,0 +1,48 @@
+"""A mapper that is killed while it moves a biobot: the gateway stops the biobot, and another mapper sees who did."""
+
+from http import HTTPStatus
+from pathlib import Path
+
+import httpx
+import pytest
+
+from studies.system import RunningSystem, SystemSettings
+from tests.mapper.serving import serving
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
+
+TURN = {"action": "turn_left", "operator": "anna", "hold_ms": 60_000}
+
+
+def test_whom_a_killed_mapper_moves_is_stopped_by_the_dead_man(tmp_path: Path) -> None:
+    settings = SystemSettings(out=tmp_path, scenario="one-obstacle", speed=1, n_biobots=6, n_landmarks=3, dispersion_s=60, exploration_s=1)
+    with RunningSystem(settings=settings) as system:
+        port = int(system.bus_endpoint.rpartition(":")[2])
+        directory = tmp_path / "mover"
+        directory.mkdir()
+        with serving(directory, connect=port, arguments=["--name", "mover"]) as (url, mover):
+
+            def moved() -> int | None:
+                for biobot in range(1, 7):
+                    answer = httpx.post(url + "api/v1/commands", json={**TURN, "biobot": biobot}, timeout=30)
+                    if answer.status_code == HTTPStatus.OK and answer.json()["outcome"] == "biobot_confirmed":
+                        return biobot
+                return None
+
+            biobot = system.wait_for(moved, what="a biobot is moved", timeout_s=60)
+            assert "mover" in system.get("/api/v1/biobots")["commanders"]
+            mover.kill()
+
+            def stopped() -> bool:
+                commands = system.get("/api/v1/commands")["commands"]
+                stops = [one for one in commands if (one["biobot"], one["action"], one["operator"]) == (biobot, "stop", "dead-man")]
+                return any((one["origin"], one["outcome"]) == ("elsewhere", "biobot_confirmed") for one in stops)
+
+            assert system.wait_for(stopped, what="the dead-man's stop", timeout_s=30)
+            assert "mover" not in system.get("/api/v1/biobots")["commanders"]
+            standing = system.wait_for(
+                lambda: next((one for one in system.get("/api/v1/biobots")["biobots"] if one["id"] == biobot and one["mode"] == "S"), None),
+                what="the biobot's own word that it stands",
+                timeout_s=30,
+            )
+            assert standing["cause"] == "command"
