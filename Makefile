@@ -90,6 +90,9 @@ campaign: venv  ## a whole site lives through 1,000 faults; is every one of 1,00
 cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the mapper's store complete again? (root; a minute; docs/zenoh.md)
 	$(PY) -m studies.cut_links $(ARGS)
 
+bench-dead-man: venv  ## kill a commander, cut its link: how soon do those that it moves stand? (links as root; minutes; docs/steering.md)
+	$(PY) -m studies.dead_man $(ARGS)
+
 gate-histories: venv  ## 100,000 random histories of the stimulation gate: is a limit ever exceeded at an electrode? (docs/gate-histories.md; ARGS="--histories 1000")
 	$(PY) -m studies.gate_histories --out artifacts/gate-histories.jsonl $(ARGS)
 

@@ -47,6 +47,8 @@ class CommanderSession:
         self._session = session
         self._site = site
         self._heard: deque[Heard] = deque(maxlen=_MAX_WAITING)
+        self._watched: NodeId | None = None
+        self._sent: deque[str] = deque(maxlen=_MAX_WAITING)
         self._n_beats = 0
         self._beat_s = float("-inf")
         self._declared: list[Any] = [session.liveliness().declare_token(build_token_key(site=site, kind=Kind.COMMANDER, name=name))]
@@ -88,15 +90,19 @@ class CommanderSession:
             time.sleep(_HEARD_POLL_S)
 
     def watch(self, node: NodeId) -> None:
-        """Hear how a biobot was stimulated, and whether the gateway goes."""
+        """Hear how a biobot was stimulated, the stages of whatever anybody commands it, and whether the gateway goes."""
+        self._watched = node
         account = build_key(site=self._site, stream=Stream.STIMULATION, gateway=self.gateway, node=node)
+        stages = build_key(site=self._site, stream=Stream.STAGES, gateway=self.gateway)
         alive = build_key(site=self._site, stream=Stream.ALIVE, gateway=self.gateway)
+        self._declared.append(self._session.declare_subscriber(stages, self._take_stage))
         self._declared.append(self._session.declare_subscriber(account, self._take_account))
         self._declared.append(self._session.liveliness().declare_subscriber(alive, self._take_presence))
 
     def send(self, request: StimulationRequest) -> None:
         """Send a command; its stages are heard. It beats first, since the gateway counts silence from a command on."""
         self.beat(now_s=time.monotonic())
+        self._sent.append(request.command_id)
         self._session.get(
             build_key(site=self._site, stream=Stream.COMMAND, gateway=self.gateway),
             self._take_reply,
@@ -135,6 +141,15 @@ class CommanderSession:
     def _take_account(self, sample: zenoh.Sample) -> None:
         """Runs on a thread of Zenoh."""
         self._decode(sample.payload.to_bytes(), StimulationAccount)
+
+    def _take_stage(self, sample: zenoh.Sample) -> None:
+        """Runs on a thread of Zenoh; of one's own commands the replies tell already."""
+        try:
+            stage = decode_record(sample.payload.to_bytes(), CommandStage)
+        except RecordError:
+            return
+        if stage.node == self._watched and stage.command_id not in self._sent:
+            self._heard.append(stage)
 
     def _take_presence(self, sample: zenoh.Sample) -> None:
         """Runs on a thread of Zenoh."""

@@ -3,6 +3,7 @@
 Every motion has a hold: nothing walks on for longer than that without a further key, whatever becomes of operator, network and gateway.
 """
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -10,6 +11,7 @@ from firmware_protocol.contract.commands import CommandStage, Stage, Stimulation
 from firmware_protocol.errors import ConfigurationError
 
 _SHOWN: Final = 8
+_REMEMBERED: Final = 256
 
 KEYS: Final[dict[str, StimulationAction]] = {
     "up": StimulationAction.START,
@@ -106,19 +108,25 @@ class Steering:
     """Lines to show, the newest last."""
     has_ended: bool = False
     """The newest command has its last stage."""
+    _ours: deque[str] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
 
     def sent(self, command_id: str, action: StimulationAction) -> None:
         """Take that a command goes out."""
         self.newest, self.has_ended, self.is_stopped = command_id, False, False
+        self._ours.append(command_id)
         self.is_moving = self.is_moving or action is not StimulationAction.STOP
 
     def take_stage(self, stage: CommandStage) -> None:
-        """Take what a command has come to."""
-        self.say(f"{stage.action.value}: {stage.stage.value}" + (f": {stage.reason}" if stage.reason else ""))
+        """Take what a command has come to: one of ours, or a stop that somebody else gave, such as the gateway's dead-man."""
+        who = f"{stage.operator}: " if stage.operator and stage.command_id not in self._ours else ""
+        self.say(f"{who}{stage.action.value}: {stage.stage.value}" + (f": {stage.reason}" if stage.reason else ""))
+        is_stopped = stage.action is StimulationAction.STOP and stage.stage is Stage.BIOBOT_CONFIRMED
+        if is_stopped and self.has_ended and stage.command_id not in self._ours:
+            self.is_stopped, self.is_moving = True, False
         if stage.command_id != self.newest or not stage.is_final:
             return
         self.has_ended = True
-        if stage.action is StimulationAction.STOP and stage.stage is Stage.BIOBOT_CONFIRMED:
+        if is_stopped:
             self.is_stopped, self.is_moving = True, False
 
     def take_account(self, account: StimulationAccount, *, now_s: float) -> None:

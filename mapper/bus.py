@@ -8,7 +8,6 @@ import random
 import threading
 from collections import Counter, deque
 from collections.abc import AsyncGenerator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +16,7 @@ from typing import Final, Self
 import zenoh
 import zenoh.ext
 
-from firmware_protocol.contract.commands import CommanderBeat, CommandStage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import CommanderBeat, CommandStage, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.mission_orders import MissionAnswer, MissionOrder
 from firmware_protocol.contract.presence import Kind, build_token_key
@@ -42,11 +41,9 @@ _PATIENCE_S: Final = 15.0
 _LOOK_EVERY_S: Final = 0.1
 _ALIVE_TIMEOUT_S: Final = 1.0
 
-_URGENT_THREADS: Final = 8
 # What is decoded in one go, so that a flood never holds up a request: a few milliseconds.
 _MAX_TAKEN_MESSAGES: Final = 500
 _MAX_TAKEN_BYTES: Final = 2**18
-_STOPS: Final = frozenset({StimulationAction.STOP, StimulationAction.STOP_ALL})
 
 _JOURNALED: Final = (Stream.ENCOUNTERS, Stream.MODES, Stream.MISSION)
 
@@ -69,8 +66,6 @@ class Bus:
         self._has_arrivals = asyncio.Event()
         self._is_claimed = asyncio.Event()
         self._commander_key = ""
-        # Of its own: whatever else waits for Zenoh in the default pool, a stop does not wait for it.
-        self._urgent = ThreadPoolExecutor(_URGENT_THREADS, thread_name_prefix="urgent")
 
     @classmethod
     async def open(
@@ -106,7 +101,6 @@ class Bus:
 
     async def aclose(self) -> None:
         """Leave the bus."""
-        self._urgent.shutdown(wait=False, cancel_futures=True)
         await asyncio.to_thread(self._session.close)
 
     @property
@@ -230,15 +224,17 @@ class Bus:
     def send_command(
         self, request: StimulationRequest, *, gateway: str | None, timeout_s: float
     ) -> AsyncGenerator[CommandStage | QueryError, None]:
-        """Send a command at once to a gateway, or (None) to all, and return what yields the stages that they report.
+        """Send a command now, to a gateway or (None) to all, and return what yields the stages that they report.
 
-        None at all means that nobody is there. An error is yielded for a gateway that refused the form of the request, and for no end
-        of the answers within ``timeout_s``. A stop overtakes all else that is written to the bus, and is not waited for where a link takes
-        nothing: whoever gives it asks again.
+        Commands leave in the order in which they are given, a stop never before a start that was given earlier, ahead of all else on the
+        bus. None is waited for longer than a millisecond a link: where a link takes nothing it is dropped, and whoever gives a stop asks
+        again.
+
+        No stage at all means that nobody is there. An error is yielded for a gateway that refused the form of the request, and for no end
+        of the answers within ``timeout_s``.
         """
         key = build_key(site=self._site, stream=Stream.COMMAND, gateway=gateway or ANY)
-        is_urgent = request.action in _STOPS
-        return self._stages_of(request, self._begin(key, encode_record(request), timeout_s=timeout_s, is_urgent=is_urgent))
+        return self._stages_of(request, self._begin(key, encode_record(request), timeout_s=timeout_s, is_command=True))
 
     async def _stages_of(self, request: StimulationRequest, query: "_Query") -> AsyncGenerator[CommandStage | QueryError, None]:
         async with aclosing(self._replies(query)) as replies:
@@ -278,7 +274,7 @@ class Bus:
             raise fault
         return answers
 
-    def _begin(self, key: str, payload: bytes, *, timeout_s: float, is_urgent: bool = False) -> "_Query":
+    def _begin(self, key: str, payload: bytes, *, timeout_s: float, is_command: bool = False) -> "_Query":
         replies: asyncio.Queue[zenoh.Reply | None] = asyncio.Queue()
 
         def hand_over(reply: zenoh.Reply | None) -> None:
@@ -297,12 +293,20 @@ class Bus:
                 timeout=timeout_s,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                congestion_control=zenoh.CongestionControl.DROP if is_urgent else zenoh.CongestionControl.BLOCK,
-                priority=zenoh.Priority.REAL_TIME if is_urgent else zenoh.Priority.DATA,
-                express=is_urgent,
+                congestion_control=zenoh.CongestionControl.DROP if is_command else zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.REAL_TIME if is_command else zenoh.Priority.DATA,
+                express=is_command,
             )
 
-        asked = self._loop.run_in_executor(self._urgent if is_urgent else None, ask)
+        if not is_command:
+            return _Query(key=key, timeout_s=timeout_s, asked=self._loop.run_in_executor(None, ask), replies=replies)
+        asked = self._loop.create_future()
+        try:
+            ask()
+        except zenoh.ZError as error:
+            asked.set_exception(error)
+        else:
+            asked.set_result(None)
         return _Query(key=key, timeout_s=timeout_s, asked=asked, replies=replies)
 
     async def _replies(self, query: "_Query") -> AsyncGenerator[bytes | QueryError, None]:

@@ -68,6 +68,7 @@ class CommandDesk:
         self._n_under_way = 0
         self._is_closing = False
         self._insisting: set[str] = set()
+        self._held_back: dict[object, NodeId] = {}
         log.listen(commander.motion.heed)
 
     async def run(self) -> None:
@@ -101,17 +102,7 @@ class CommandDesk:
         if self._n_under_way >= _MAX_AT_ONCE:
             raise TooManyError(what="commands are under way", limit=_MAX_AT_ONCE)
         issued_wall_ns = self._wall_ns()
-        commander = ""
-        if wish.hold_ms:
-            commander = self._commander.name
-            is_there = await self._commander.wait_until_there(timeout_s=min(wish.ttl_ms / 1000, _TOKEN_WAIT_S))
-            if self._is_closing or not is_there:
-                reason = "this mapper is about to end" if self._is_closing else "this mapper has not joined the bus under its name yet"
-                raise CommandRefusedError(
-                    command_id=wish.command_id or "",
-                    reason=f"{reason}, and a hold needs a commander that is there; try again, or give it without hold_ms",
-                    refusal=Refusal.STOPPING if self._is_closing else Refusal.NO_COMMANDER,
-                )
+        commander = await self._commander_for(wish) if wish.hold_ms else ""
         known = self._known(wish)  # a second one of the same id may have waited for the same
         if known is not None:
             return known
@@ -119,6 +110,7 @@ class CommandDesk:
         command = self.log.add(request, gateway=gateway, asked=[gateway])
         self._let_go_of_stops(wish.node)
         self._commander.motion.begin(request, now_ns=time.monotonic_ns())
+        self._n_under_way += 1
         timeout_s = request.ttl_ms / 1000 + _PATIENCE_S
         self._start(self._follow(command, self._ask(request, gateway=gateway, timeout_s=timeout_s)), command)
         return command
@@ -135,7 +127,10 @@ class CommandDesk:
         if known is not None:
             return known
         is_for_all = wish.action is StimulationAction.STOP_ALL
+        self._held_back = {token: node for token, node in self._held_back.items() if not is_for_all and node != wish.node}
         gateway = None if is_for_all else self._fleet.gateway_of(wish.node)
+        if gateway is not None and not self._is_there(gateway):
+            gateway = None  # another may reach the biobot
         request = self._request(wish, commander="", issued_wall_ns=self._wall_ns())
         timeout_s = _PATIENCE_FOR_ALL_S if is_for_all else request.ttl_ms / 1000 + _PATIENCE_S
         stages = self._ask(request, gateway=gateway, timeout_s=timeout_s)
@@ -163,6 +158,26 @@ class CommandDesk:
             await self.log.wait(lambda: all(map(has_ended, stops)), timeout_s=_LAST_STOPS_S)
             outcomes = [str(stop.outcome or "unknown") for stop in stops]
             _log.info("commander.released", biobots=len(nodes), confirmed=outcomes.count(str(Outcome.BIOBOT_CONFIRMED)))
+
+    async def _commander_for(self, wish: Wish) -> str:
+        """Return who is the commander of controlled motion, once gateways can see it."""
+        token = object()
+        self._held_back[token] = wish.node
+        try:
+            is_there = await self._commander.wait_until_there(timeout_s=min(wish.ttl_ms / 1000, _TOKEN_WAIT_S))
+            refusal, reason = None, ""
+            if token not in self._held_back:
+                refusal, reason = Refusal.OVERTAKEN, "a stop of this biobot came before it was sent; give it anew if it is still wanted"
+            elif self._is_closing:
+                refusal, reason = Refusal.STOPPING, "this mapper is about to end; start it again first"
+            elif not is_there:
+                refusal = Refusal.NO_COMMANDER
+                reason = "a hold needs a commander, and this mapper has not joined the bus under its name yet; try again in a few seconds"
+        finally:
+            self._held_back.pop(token, None)
+        if refusal is not None:
+            raise CommandRefusedError(command_id=wish.command_id or "", reason=reason, refusal=refusal)
+        return self._commander.name
 
     def _let_go_of_stops(self, node: NodeId) -> None:
         """Repeat no stop of a biobot that is told something else now; one of all is repeated all the same."""
@@ -204,7 +219,6 @@ class CommandDesk:
 
     async def _follow(self, command: Command, stages: _Stages) -> None:
         """Take in what the gateway tells until it is final."""
-        self._n_under_way += 1
         try:
             fault = await self._take_in(command, stages)
             for name in command.answers:
@@ -233,7 +247,7 @@ class CommandDesk:
         def judge(names: list[str]) -> None:
             command.is_unheard = not command.answers
             for name in names:
-                fault = faults.get(name, faults.get(None)) if self._fleet.is_on_bus(name) else None
+                fault = faults.get(name, faults.get(None)) if self._is_there(name) else None
                 self._settle(command, name, fault)
             self.log.tell()
 
@@ -269,7 +283,11 @@ class CommandDesk:
         if command.is_answered:
             return []
         late = [] if command.gateway is not None else [name for name in self._fleet.gateways_heard() if name not in command.answers]
-        return [name for name in [*(command.unfinished if is_idle else command.silent), *late] if self._fleet.is_on_bus(name)]
+        return [name for name in [*(command.unfinished if is_idle else command.silent), *late] if self._is_there(name)]
+
+    def _is_there(self, gateway: str) -> bool:
+        # A connection that is lost is known sooner than whose tokens were behind it.
+        return self._bus.is_connected and self._fleet.is_on_bus(gateway)
 
     async def _take_in(self, command: Command, stages: _Stages) -> QueryError | None:
         """Take in the answers of one question; return what was wrong with them, if anything."""
@@ -293,7 +311,7 @@ class CommandDesk:
             outcome, reason = Outcome.UNKNOWN, str(fault) if fault else "the gateway's answer broke off"
         elif fault is not None:
             outcome, reason = Outcome.UNKNOWN if fault.is_timeout else Outcome.FAILED, str(fault)
-        elif command.action in STOPS and self._fleet.is_on_bus(gateway):
+        elif command.action in STOPS and self._is_there(gateway):
             outcome, reason = Outcome.UNKNOWN, "the gateway is on the bus, but tells nothing"
         else:
             outcome, reason = Outcome.UNDELIVERED, "the gateway is not on the bus"

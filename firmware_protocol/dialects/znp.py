@@ -1,13 +1,13 @@
 """The Z-Stack dialect from the base station's end: a ZigBee network processor that speaks MT (WIRE_FORMAT.md §9).
 
 An opening (``znp_opening``) makes the dongle a coordinator; from then on payloads go to and come from one endpoint of a profile of our own.
-One synchronous request is outstanding at a time. A request that is not answered makes the next one a ping, and until that is answered no
-other answer counts: the dongle answers in order, so an answer that is late can never be taken for another's; an opening then begins anew,
-with a ping as it always does. A payload is never written twice. Three silences in a row are the end. Every few seconds the dongle is asked
-whether it still has its network.
+One synchronous request is outstanding at a time, and up to two urgent payloads on top of it: its answer may stand behind much that the
+dongle has to say. A request that is not answered makes the next one a ping, and until that is answered no other answer counts: the dongle
+answers in order, so an answer that is late can never be taken for another's; an opening then begins anew, with a ping as it always does. A
+payload is never written twice. Three silences in a row are the end. Every few seconds the dongle is asked whether it still has its network.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Generator
 from dataclasses import dataclass
 
@@ -35,7 +35,8 @@ from firmware_protocol.dialects.znp_opening import (
     open_dongle,
     permit_join,
 )
-from firmware_protocol.dialects.znp_window import SendWindow
+from firmware_protocol.dialects.znp_statuses import radio_status_of
+from firmware_protocol.dialects.znp_window import SendWindow, Unsent
 from firmware_protocol.envelope import RadioReceived, RadioStatus
 from firmware_protocol.errors import EncodeError
 from firmware_protocol.framing.interface import FrameFault
@@ -51,36 +52,15 @@ _PATIENCE_NS = 1_500 * NS_PER_MS
 _N_SILENCES = 3
 _PERMIT_NS = 200 * NS_PER_S
 """How often a network that is to stay open is opened again: Z-Stack closes it after 254 s at most."""
+_MAX_ON_TOP = 2
+"""Urgent payloads that are written though a request waits for its answer, which may stand behind much that the dongle has to say: they fit
+into the smallest buffer of a chip's serial line, 128 octets, beside one another."""
 _BACK_OFF_NS = 100 * NS_PER_MS
 """How long nothing is written to a dongle that had no room."""
 
 _OPTIONS = 0x20
 """Of AF_DATA_REQUEST: find a route where none is known; no acknowledgement end to end, for the messages have their own."""
 _RADIUS = 30
-
-_OUTCOMES: dict[int, RadioStatus] = {
-    ZnpStatus.SUCCESS: RadioStatus.SENT,
-    ZnpStatus.APS_NO_ACK: RadioStatus.NO_ACK,
-    ZnpStatus.NWK_NO_ACK: RadioStatus.NO_ACK,
-    ZnpStatus.MAC_NO_ACK: RadioStatus.NO_ACK,
-    ZnpStatus.MAC_TRANSACTION_EXPIRED: RadioStatus.NO_ACK,
-    ZnpStatus.MAC_CHANNEL_ACCESS_FAILURE: RadioStatus.CHANNEL_BUSY,
-    ZnpStatus.NWK_NO_ROUTE: RadioStatus.UNKNOWN_ADDRESS,
-    ZnpStatus.NWK_UNKNOWN_DEVICE: RadioStatus.UNKNOWN_ADDRESS,
-    ZnpStatus.MEMORY_ERROR: RadioStatus.QUEUE_FULL,
-    ZnpStatus.BUFFER_FULL: RadioStatus.QUEUE_FULL,
-    ZnpStatus.MAC_MEMORY_ERROR: RadioStatus.QUEUE_FULL,
-    ZnpStatus.MAC_NO_RESOURCES: RadioStatus.QUEUE_FULL,
-    ZnpStatus.APS_TABLE_FULL: RadioStatus.QUEUE_FULL,
-    ZnpStatus.NWK_TABLE_FULL: RadioStatus.QUEUE_FULL,
-    ZnpStatus.MAC_TRANSACTION_OVERFLOW: RadioStatus.QUEUE_FULL,
-    ZnpStatus.MAC_FRAME_TOO_LONG: RadioStatus.TOO_LONG,
-}
-
-
-def radio_status_of(status: int) -> RadioStatus:
-    """Return what a status of AF_DATA_REQUEST or AF_DATA_CONFIRM says in our words (WIRE_FORMAT.md §9.5)."""
-    return _OUTCOMES.get(status, RadioStatus.OTHER)
 
 
 @dataclass(slots=True)
@@ -91,6 +71,8 @@ class _Outstanding:
     until_ns: int
     transaction: int | None = None
     """Of a payload."""
+    is_alone: bool = True
+    """No other request waited for its answer at the same time: a lost answer cannot be taken for another's."""
 
 
 class ZnpHost:
@@ -112,6 +94,8 @@ class ZnpHost:
         self._awaited: Await | None = None
         self._awaited_until_ns = 0
         self._outstanding: _Outstanding | None = None
+        self._on_top: deque[_Outstanding] = deque()
+        """Urgent payloads that were written before the outstanding request was answered."""
         self._n_silences = 0
         self._next_receipt = 1
         self._window = SendWindow(next_transaction=first_handle % 256)
@@ -247,16 +231,18 @@ class ZnpHost:
         if outstanding is None or answered_command(reply) != command_of(outstanding.request):
             self.faults["znp.unexpected_answer"] += 1
             return []
-        self._outstanding = None
+        self._outstanding = self._on_top.popleft() if self._on_top else None
         self._n_silences = 0
         if isinstance(reply, znp.NetworkInfoReply) and reply.state != DeviceState.COORDINATOR:
             return [self._lose_network(reply.state)]
         if outstanding.transaction is None:
             return []
         status = reply.status if isinstance(reply, znp.StatusReply) else int(ZnpStatus.FAILURE)
-        return [] if status == ZnpStatus.SUCCESS else self._settle(outstanding.transaction, status, now_ns)
+        if status == ZnpStatus.SUCCESS:
+            return []
+        return self._settle(outstanding.transaction, status, now_ns, is_certain=outstanding.is_alone)
 
-    def _settle(self, transaction: int, status: int, now_ns: int) -> list[HostEvent]:
+    def _settle(self, transaction: int, status: int, now_ns: int, *, is_certain: bool = True) -> list[HostEvent]:
         ticket = self._window.settle(transaction)
         if ticket is None:
             self.faults["radio.unexpected_confirms"] += 1
@@ -264,35 +250,51 @@ class ZnpHost:
         outcome = radio_status_of(status)
         if outcome is RadioStatus.QUEUE_FULL:
             self._window.hold(now_ns + _BACK_OFF_NS)
-        return [SendSettled(ticket=ticket, status=outcome)]
+        return [SendSettled(ticket=ticket, status=outcome if is_certain else RadioStatus.OTHER)]
 
     # --- what goes out ---
 
     def _write_next(self, now_ns: int) -> None:
-        """Write the next payload, where there is one and the dongle is ready for it."""
-        next_one = self._window.take(now_ns) if self.is_open and self._outstanding is None else None
-        if next_one is None:
-            return
-        transaction, one = next_one
+        """Write the next payload, where there is one and the dongle is ready for it; and urgent ones on top of a request."""
+        while self.is_open and (self._outstanding is None or (self._window.has_urgent and len(self._on_top) < _MAX_ON_TOP)):
+            next_one = self._window.take(now_ns)
+            if next_one is None:
+                return
+            self._write_payload(*next_one, now_ns)
+
+    def _write_payload(self, transaction: int, one: Unsent, now_ns: int) -> None:
         request = znp.DataRequest(
             destination=one.destination, destination_endpoint=BIOBOT_ENDPOINT, source_endpoint=BIOBOT_ENDPOINT, cluster=BIOBOT_CLUSTER,
             transaction=transaction, options=_OPTIONS, radius=_RADIUS, data=one.payload,
         )  # fmt: skip
+        before, on_top = self._outstanding, list(self._on_top)
         self._ask(request, now_ns + _PATIENCE_NS, transaction=transaction)
+        if before is not None and self._outstanding is not None:
+            self._on_top.extend([*on_top, self._outstanding])
+            self._outstanding = before
+            for waiting in (before, *self._on_top):
+                waiting.is_alone = False
 
     def _take_back_unwritten(self) -> None:
-        """Let a payload whose request was not handed out wait again."""
-        outstanding = self._outstanding
-        if outstanding is not None and outstanding.transaction is not None and self._frames:
-            self._frames.pop()  # nothing is asked after it before it is answered
-            self._outstanding = None
-            self._window.give_back(outstanding.transaction)
+        """Let payloads whose requests were not handed out wait again."""
+        while (
+            self._frames and (last := self._on_top[-1] if self._on_top else self._outstanding) is not None and last.transaction is not None
+        ):
+            self._frames.pop()
+            if self._on_top:
+                self._on_top.pop()
+            else:
+                self._outstanding = None
+            self._window.give_back(last.transaction)
 
     def _ask(self, request: Request, until_ns: int, *, transaction: int | None = None) -> None:
         self._outstanding = _Outstanding(request, until_ns, transaction)
+        self._on_top.clear()
         self._frames.append(encode_frame(encode_command(request)))
 
     def _answer_is_late(self, now_ns: int) -> list[HostEvent]:
+        if self._outstanding is not None and now_ns >= self._outstanding.until_ns:
+            self._take_back_unwritten()  # it was the line that took nothing
         if self._outstanding is not None:
             if now_ns < self._outstanding.until_ns:
                 return []
@@ -387,5 +389,6 @@ class ZnpHost:
         self._n_silences = 0
         self._frames.clear()
         self._opening = self._outstanding = self._awaited = None
+        self._on_top.clear()
         self.is_open = False
         return self._window.drop_all()

@@ -61,6 +61,11 @@ class SendWindow:
         """Something waits to be written."""
         return bool(self._urgent or self._unsent)
 
+    @property
+    def has_urgent(self) -> bool:
+        """An urgent one does."""
+        return bool(self._urgent)
+
     def add(self, *, destination: ShortAddress, payload: bytes, is_urgent: bool) -> int:
         """Queue a payload and return its ticket.
 

@@ -22,7 +22,7 @@ _MAX_STOPS = 3
 
 _MAX_STARTS = 20
 _START_AGAIN_S = 3.0
-_DISK_POLL_S = 0.1
+_POLL_S = 0.1
 
 _NEVER_SENT = {Refusal.GAP, Refusal.TRAINS, Refusal.ON_TIME, Refusal.TOO_MANY, Refusal.JOURNAL, Refusal.RADIO, Refusal.UNFIT_BIOBOT}
 """Refusals after which a start may be given again a little later: no train was given."""
@@ -50,6 +50,8 @@ class LandmarkCommander:
         Whether the mission may command anybody now; asked before each command.
     name
         Begins the names of the commands of this process.
+    patience_s
+        How long a biobot that was not heard since this process began is waited for before it is asked.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class LandmarkCommander:
         health: Health,
         may_command: Callable[[], bool],
         name: str,
+        patience_s: float,
         wall_clock: Callable[[], int] = time.time_ns,
     ) -> None:
         self._handle = handle
@@ -69,6 +72,7 @@ class LandmarkCommander:
         self._health = health
         self._may_command = may_command
         self._name = name
+        self._patience_s = patience_s
         self._wall_clock = wall_clock
         self._n_given = 0
         self._busy: dict[NodeId, asyncio.Lock] = {}  # of 65,535 biobots at most
@@ -76,6 +80,7 @@ class LandmarkCommander:
     async def stop(self, node: NodeId) -> Outcome:
         """Have a biobot stand still."""
         async with self._alone(node):
+            await self._wait_until_heard(node)
             outcome = Outcome(is_done=False, reason="it was not asked")
             for _ in range(_MAX_STOPS):
                 await self._wait_for_the_disk()
@@ -130,6 +135,15 @@ class LandmarkCommander:
             return False
         return known.status.mode is WireMode.S and known.status.cause is WireCause.COMMAND
 
+    async def _wait_until_heard(self, node: NodeId) -> None:
+        """Wait for one that an earlier process had chosen: right after a start neither its radio nor its place is known to be right."""
+        deadline_s = time.monotonic() + self._patience_s
+        while time.monotonic() < deadline_s and self._may_command():  # a mission can wait; nothing else needs the event
+            known = self._nodes.find(node)
+            if known is not None and known.last_heard_ns:
+                return
+            await asyncio.sleep(_POLL_S)
+
     async def _wait_for_the_disk(self) -> None:
         while self._journal.fault is not None:  # noqa: ASYNC110  # a mission can wait; nothing else needs the event
-            await asyncio.sleep(_DISK_POLL_S)
+            await asyncio.sleep(_POLL_S)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.mission_orders import MissionAction, MissionAnswer, MissionOrder
-from firmware_protocol.contract.records import EncounterRecord, MissionPhase, Mode, ModeRecord
+from firmware_protocol.contract.records import Cause, EncounterRecord, MissionPhase, Mode, ModeRecord
 from firmware_protocol.messages import LEAVE_RSSI
 from firmware_protocol.units import NS_PER_S, NodeId, RssiDbm
 from gateway.config import MissionTable
@@ -90,6 +90,7 @@ class Mission:
             health=health,
             may_command=self._may_command,
             name=f"mission-{issuer.boot}",
+            patience_s=config.selection_timeout_s,
             wall_clock=wall_clock,
         )
         self._orders = OrderMemory(gateway=issuer.gateway)
@@ -177,9 +178,9 @@ class Mission:
 
     def take_records(self, committed: Committed) -> None:
         """Judge the landmarks by what has come to lie on disk."""
-        if self.state.phase is not MissionPhase.EXPLORATION:
+        if self.state.choice is None or self.state.phase not in COMMANDING:
             return
-        landmarks = self.state.landmarks
+        landmarks, failed = self.state.landmarks, self.state.choice.failed
         for record in committed.records:
             if isinstance(record, EncounterRecord) and record.node_a in landmarks and record.node_b in landmarks:
                 suspicion = self._watch.take_encounter(
@@ -192,6 +193,9 @@ class Mission:
             elif isinstance(record, ModeRecord) and record.node in landmarks:
                 t_start_ns = self._issuer.to_own_monotonic_ns(record.t_start_ns, anchor_ns=record.wall_anchor_ns)
                 suspicion = self._watch.take_mode(record, t_start_ns=t_start_ns)
+            elif isinstance(record, ModeRecord) and record.node in failed and _stands_by_command(record):
+                self._proceed(self._planner.stands_after_all(record.node, now_ns=self._journal.ran_ns))
+                continue
             else:
                 continue
             if suspicion is not None:
@@ -385,6 +389,10 @@ class Mission:
             remaining_s=None if remaining_ns is None else remaining_ns / NS_PER_S,
             possible=self._planner.possible(),
         )
+
+
+def _stands_by_command(record: ModeRecord) -> bool:
+    return record.mode is Mode.S and record.cause is Cause.COMMAND and record.t_end_ns is None
 
 
 async def _wait_for(on_disk: "asyncio.Future[None] | None") -> None:

@@ -55,6 +55,8 @@ class MissionPlanner:
     _is_changed: bool = False
     _warned: set[NodeId] = field(default_factory=set)
     """Landmarks that were stopped again."""
+    _excused: set[NodeId] = field(default_factory=set)
+    """Those that did not answer, and were found to stand after all."""
 
     def resume(self, state: MissionState, *, now_ns: int) -> list[MissionStep]:
         """Go on with the mission of an earlier process. Neighbour reports are waited for from now: those given before are gone."""
@@ -193,6 +195,19 @@ class MissionPlanner:
         self._next_try_ns = 0
         return [*self._revision(), LetGo(node=node, decided_ns=now_ns)] if is_let_go else self._revision()
 
+    def stands_after_all(self, node: NodeId, *, now_ns: int) -> list[MissionStep]:
+        """Take the word of one that did not answer that it stands: it is a landmark where one is wanted, else it is let go, once."""
+        state, choice = self.state, self.state.choice
+        if state.phase not in COMMANDING or choice is None or node not in choice.failed or node in self._excused:
+            return []
+        self._excused.add(node)
+        if len(state.landmarks | state.awaited) < choice.n_wanted:
+            failed = tuple(one for one in choice.failed if one != node)
+            self._change(landmarks=state.landmarks | {node}, choice=msgspec.structs.replace(choice, failed=failed))
+            return self._revision()
+        self._change(releasing={**state.releasing, node: now_ns})
+        return [*self._revision(), LetGo(node=node, decided_ns=now_ns)]
+
     def released(self, node: NodeId) -> None:
         """Take that ``LetGo`` has had its one answer."""
         if node in self.state.releasing:
@@ -264,6 +279,7 @@ class MissionPlanner:
         is_anew = state.phase in {_P.IDLE, _P.DONE}
         ran_ns = state.elapsed_ns(now_ns) if state.phase is _P.EXPLORATION else 0
         self._warned.clear()
+        self._excused.clear()
         self._is_choosing = False
         steps = self._enter(
             _P.DISPERSION,

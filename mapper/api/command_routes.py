@@ -231,4 +231,5 @@ def _check_outcome(command: Command) -> None:
     if command.outcome is Outcome.REFUSED:
         raise CommandRefusedError(command_id=command.command_id, reason=command.reason, refusal=command.refusal)
     if command.outcome is Outcome.UNDELIVERED:
-        raise GatewayAwayError(command_id=command.command_id, gateway=command.gateway)
+        away = [name for name, answer in command.answers.items() if answer.outcome is Outcome.UNDELIVERED]
+        raise GatewayAwayError(command_id=command.command_id, gateway=command.gateway or ", ".join(away) or None)

@@ -209,13 +209,16 @@ class AccountList(AnswerModel):
 
 
 class MissionPhaseItem(AnswerModel):
-    """A phase that began; further fields are as the gateway records them."""
+    """A phase that began; further fields, such as whom it chose and why, are as the gateway records them (CONTRACT.md §3)."""
 
     gateway: str
     phase: PhaseName
     t_start_wall_ns: int
     landmarks: list[int]
     reason: str
+    operator: str = Field(description="Who ordered it; empty: it came by itself")
+    round: int = Field(description="Dispersions of this mission so far")
+    interrupted: PhaseName | None = Field(description="Of a pause: what it interrupts")
 
 
 class MissionView(AnswerModel):
@@ -234,6 +237,9 @@ class OrderAnswerView(AnswerModel):
     phase: PhaseName
     landmarks: list[int]
     reason: str
+    round: int
+    remaining_s: float | None = Field(description="Until the phase ends by itself; null: it does not, or not by time")
+    possible: list[str] = Field(description="Orders that would be taken now")
 
 
 class OrderView(AnswerModel):

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import firmware_protocol
-from firmware_protocol.dialects.znp import radio_status_of
+from firmware_protocol.dialects.znp_statuses import radio_status_of
 from firmware_protocol.envelope import RadioStatus
 from firmware_protocol.framing.znp import encode_frame
 from firmware_protocol.znp import codec

@@ -11,13 +11,22 @@ import pytest
 
 from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.mission_orders import MissionAction, MissionAnswer, MissionOrder
-from firmware_protocol.contract.records import MissionPhase, MissionRecord, NeighbourEntry
+from firmware_protocol.contract.records import (
+    Cause,
+    EncounterRecord,
+    MissionPhase,
+    MissionRecord,
+    Mode,
+    ModeRecord,
+    NeighbourEntry,
+)
 from firmware_protocol.messages import Status, WireCause, WireMode
 from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.config import MissionTable
 from gateway.health import Health
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
+from gateway.journal_file import JournalWrite
 from gateway.mission import Mission
 from gateway.nodes import NodeBook
 from tests.gateway.fake_radio import until
@@ -227,5 +236,39 @@ def test_a_landmark_that_an_operator_lets_walk_is_replaced(tmp_path: Path) -> No
             mission.on_stage(start, stage_of(start, Stage.ACCEPTED))
             await until(lambda: len(mission.state.landmarks - {node}) == 2, what="another one stands for it")
             assert mission.state.changes[-1].reason == "bob let it walk"
+
+    asyncio.run(story())
+
+
+def _meeting(journal: Journal, one: int, other: int, *, sequence: int) -> EncounterRecord:
+    """A meeting of two that begins when both have stood for 40 s."""
+    t_ns = Nanoseconds(time.monotonic_ns() + 40 * NS_PER_S)
+    return EncounterRecord(
+        gateway="g", journal=journal.journal_id, offset=1, boot=journal.boot, sequence=sequence, revision=0,
+        wall_anchor_ns=journal.identity.wall_anchor_ns, node_a=NodeId(min(one, other)), node_b=NodeId(max(one, other)),
+        t_start_ns=t_ns, t_end_ns=t_ns, error_ns=Nanoseconds(1000), is_reciprocal=True,
+    )  # fmt: skip
+
+
+def test_what_the_journal_commits_convicts_a_landmark_that_wanders_and_doubts_one_that_walks(tmp_path: Path) -> None:
+    async def story() -> None:
+        gate = Obeying()
+        async with a_mission(tmp_path / "j", gate, is_enabled=True, dispersion_s=0, n_landmarks=3) as (mission, _, journal):
+            await until(lambda: mission.state.phase is MissionPhase.EXPLORATION, what="landmarks stand")
+            wanderer, one, other = sorted(mission.state.landmarks)
+            walks = ModeRecord(
+                gateway="g", journal=journal.journal_id, offset=1, boot=journal.boot, sequence=10_000, revision=0,
+                wall_anchor_ns=journal.identity.wall_anchor_ns, node=one, mode=Mode.CRW, cause=Cause.NATURAL,
+                t_start_ns=Nanoseconds(time.monotonic_ns() + NS_PER_S), t_end_ns=None, error_ns=Nanoseconds(0),
+            )  # fmt: skip
+            n_stops = sum(request.node == one for request in gate.given)
+            journal.append(JournalWrite(records=(walks, _meeting(journal, wanderer, one, sequence=10_001))))
+            await until(lambda: sum(request.node == one for request in gate.given) > n_stops, what="it is stopped once more")
+            assert {wanderer, one, other} == mission.state.landmarks, "one contradiction convicts nobody"
+            journal.append(JournalWrite(records=(_meeting(journal, wanderer, other, sequence=10_002),)))
+            await until(lambda: gate.told(StimulationAction.START) == {wanderer}, what="who wandered is let go")
+            await until(lambda: len(mission.state.landmarks) == 3, what="another one stands for it")
+            assert wanderer not in mission.state.landmarks
+            assert ("landmark.doubt", "", one) in gate.notes
 
     asyncio.run(story())

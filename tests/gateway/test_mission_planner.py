@@ -308,6 +308,27 @@ def test_a_killed_selection_goes_on_with_the_same_choice() -> None:
     assert swarm.is_in(MissionPhase.EXPLORATION)
 
 
+def test_one_that_did_not_answer_but_stands_is_a_landmark_where_one_is_wanted_and_else_is_let_go() -> None:
+    swarm = a_swarm(n_landmarks=3, dispersion_s=0)
+    for _ in range(3):
+        swarm.tick()
+    late = swarm.waiting[0]
+    swarm.deaf = {late}
+    swarm.settle_all()
+    assert len(swarm.state.landmarks) == 3
+    swarm.take(swarm.planner.stands_after_all(late, now_ns=swarm.now_ns))
+    swarm.take(swarm.planner.stands_after_all(late, now_ns=swarm.now_ns))
+    assert swarm.let_go == [late], "once"
+    scarce = a_swarm(n_landmarks=10, dispersion_s=0)
+    for _ in range(3):
+        scarce.tick()
+    scarce.deaf = {NodeId(4)}
+    scarce.settle_all()
+    scarce.take(scarce.planner.stands_after_all(NodeId(4), now_ns=scarce.now_ns))
+    assert scarce.state.landmarks == set(_ALL)
+    assert not scarce.let_go
+
+
 _events = st.one_of(
     st.tuples(st.just("tick"), st.sampled_from([0.0, 0.1, 5.0, 61.0])),
     st.tuples(st.just("order"), st.sampled_from(MissionAction)),
@@ -316,6 +337,7 @@ _events = st.one_of(
     st.tuples(st.just("lose"), st.booleans()),
     st.tuples(st.just("walks"), st.integers(0, 9)),
     st.tuples(st.just("released"), st.integers(0, 9)),
+    st.tuples(st.just("stands"), st.integers(0, 9)),
     st.tuples(st.just("restart"), st.none()),
 )
 
@@ -343,6 +365,8 @@ def _apply(swarm: Swarm, kind: str, value: object) -> Swarm:
             swarm.take(steps)
         case "released", int(index):
             planner.released(_ALL[index])
+        case "stands", int(index):
+            swarm.take(planner.stands_after_all(_ALL[index], now_ns=swarm.now_ns))
         case "restart", _:
             swarm.tick()
             phase, remaining_ns = swarm.state.phase, planner.remaining_ns(swarm.now_ns)

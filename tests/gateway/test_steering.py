@@ -62,3 +62,14 @@ def test_it_beats_until_the_newest_stop_is_confirmed() -> None:
     steering.sent(first.command_id, first.action)
     steering.take_stage(a_stage(first, Stage.BIOBOT_CONFIRMED))
     assert not steering.is_moving
+
+
+def test_a_stop_of_somebody_else_ends_its_motion_but_not_what_was_commanded_after_it() -> None:
+    steering = Steering()
+    start, foreign = a_command(0, StimulationAction.START), a_command(9, StimulationAction.STOP)
+    steering.sent(start.command_id, start.action)
+    steering.take_stage(a_stage(foreign, Stage.BIOBOT_CONFIRMED))
+    assert steering.is_moving, "the start is under way still, and may come after it"
+    steering.take_stage(a_stage(start, Stage.BIOBOT_CONFIRMED))
+    steering.take_stage(a_stage(foreign, Stage.BIOBOT_CONFIRMED))
+    assert not steering.is_moving

@@ -4,6 +4,7 @@ import json
 import socket
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Any, Self
 
 import zenoh
@@ -356,7 +357,7 @@ class FakeGateway:
         )
 
     def _reply(self, query: zenoh.Query, request: StimulationRequest) -> None:
-        with query:
+        with suppress(zenoh.ZError), query:  # the story is over, and the session is closed
             for stage in self.answer(request):
                 told: Struct = self.stage_of(request, stage)
                 query.reply(self._key(Stream.COMMAND), encode_record(told))

@@ -1,5 +1,6 @@
 """The mapper as a commander: whom it moves is stopped when it is gone, whichever way it goes."""
 
+import asyncio
 import signal
 import time
 from http import HTTPStatus
@@ -80,3 +81,23 @@ def test_a_mapper_that_is_ended_stops_whom_it_moves_and_then_lets_its_token_go(t
         while gateway.commanders:
             assert time.monotonic() < deadline
             time.sleep(0.01)
+
+
+def test_a_start_that_waits_for_its_commander_is_overtaken_by_a_stop() -> None:
+    async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
+        (gateway,) = gateways
+        await meet(side, gateway, 5)
+        await meet(side, gateway, 6)
+        waiting = [asyncio.create_task(client.post("/api/v1/commands", json={**TURN, "biobot": biobot})) for biobot in (5, 6)]
+        await until(lambda: len(side.desk._held_back) == 2)
+        await client.post("/api/v1/stop", json={"biobots": [5], "wait_s": DEADLINE_S})
+        await side.bus.claim("mapper1", settle_s=0.05)
+        overtaken, other = [await answer for answer in waiting]
+        assert (overtaken.status_code, overtaken.json()["refusal"]) == (HTTPStatus.CONFLICT, "overtaken")
+        assert other.status_code == HTTPStatus.OK
+        assert [(request.node, request.action) for request in gateway.commands] == [
+            (5, StimulationAction.STOP),
+            (6, StimulationAction.TURN_LEFT),
+        ]
+
+    run_story(story)

@@ -8,7 +8,8 @@ from http import HTTPStatus
 import httpx
 
 from firmware_protocol.contract.commands import Refusal, Stage, StimulationAction, StimulationRequest
-from firmware_protocol.units import EVERYBODY
+from firmware_protocol.units import EVERYBODY, NodeId
+from mapper.commands import Wish
 from tests.mapper.fake_gateway import FakeGateway, free_port
 from tests.mapper.mapper_side import DEADLINE_S, Side, mapper_side, until
 from tests.mapper.web_side import check_against, client_of, meet, openapi_of, run_story
@@ -85,7 +86,7 @@ def test_nothing_that_is_full_or_busy_holds_a_stop_back() -> None:
         start = {"biobot": 5, "action": "start", "operator": "anna", "wait_s": 0}
         try:
             for _ in range(256):
-                assert (await client.post("/api/v1/commands", json=start)).status_code == HTTPStatus.ACCEPTED
+                await side.desk.submit(Wish(node=NodeId(5), action=StimulationAction.START, operator="anna"))
             assert (await client.post("/api/v1/commands", json=start)).status_code == HTTPStatus.TOO_MANY_REQUESTS
             loop = asyncio.get_running_loop()
             busy = [loop.run_in_executor(None, is_free.wait, DEADLINE_S) for _ in range(64)]
@@ -118,6 +119,37 @@ def test_a_stop_of_a_biobot_that_nobody_here_knows_goes_to_all_gateways() -> Non
         assert unknown.status_code == HTTPStatus.NOT_FOUND
 
     run_story(story, n_gateways=2)
+
+
+def test_a_stop_leaves_after_the_starts_that_were_given_before_it() -> None:
+    async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
+        await meet(side, gateways[0], 5)
+        actions = ["start", "stop", "start", "turn_left", "stop"] * 8
+        for action in actions:
+            body = {"biobot": 5, "action": action, "operator": "anna", "wait_s": 0}
+            assert (await client.post("/api/v1/commands", json=body)).status_code in {HTTPStatus.OK, HTTPStatus.ACCEPTED}
+        await until(lambda: len(gateways[0].commands) == len(actions))
+        assert [request.action.value for request in gateways[0].commands] == actions
+
+    run_story(story)
+
+
+def test_a_biobot_whose_gateway_is_away_is_stopped_by_another() -> None:
+    async def story() -> None:
+        ports = [free_port(), free_port()]
+        with FakeGateway(port=ports[1], name="gateway2") as other:
+            async with mapper_side(ports[0], more_ports=ports[1:]) as side, client_of(side) as client:
+                with FakeGateway(port=ports[0]) as gateway:
+                    await until(lambda: gateway.is_heard and other.is_heard)
+                    await meet(side, gateway, 5)
+                await until(lambda: not side.fleet.is_on_bus("gateway1") and side.fleet.is_on_bus("gateway2"))
+                answer = await client.post(STOP, json={"biobots": [5]})
+                assert answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE
+                told = {one["gateway"]: one["outcome"] for one in answer.json()["answers"]}
+                assert told["gateway2"] == "biobot_confirmed"
+                assert answer.json()["unanswered"] == ["gateway1"]
+
+    asyncio.run(story())
 
 
 def test_a_gateway_that_comes_back_is_stopped_all_the_same() -> None:
