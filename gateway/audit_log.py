@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import msgspec
 
+from firmware_protocol.contract.commands import StimulationRequest
 from firmware_protocol.contract.records import BackpackLimits
 from firmware_protocol.messages import Limits
 from firmware_protocol.units import NS_PER_S, NodeId
@@ -21,11 +22,15 @@ from gateway.health import Health
 from gateway.journal import Journal
 from gateway.journal_file import AuditEntry, JournalReader, JournalWrite
 from gateway.log import EventLog
+from gateway.log_ration import LogRation
 
 _log = EventLog(__name__)
 
-GATEWAY, LIMITS, ANNOUNCED, TURNED_AWAY, LOST = "gateway", "limits", "announced", "turned_away", "lost"
-"""Kinds: start and stop; the table of limits; limits that a backpack announced; queries that were no commands; entries that are missing."""
+GATEWAY, LIMITS, ANNOUNCED = "gateway", "limits", "announced"
+"""Kinds: start and stop of the gateway; the table of limits; limits that a backpack announced."""
+
+REPEATED, TURNED_AWAY, LOST = "repeated", "turned_away", "lost"
+"""Kinds: requests whose id was known; queries that were no commands; entries that could not be taken."""
 
 _MAX_FACTS_SIZE = 64 * 1024
 _MAX_OPERATOR = 64
@@ -66,6 +71,7 @@ class AuditLog:
         self._clock = clock
         self._n_lost = 0
         self._announced: dict[NodeId, bytes] = {}
+        self._repeated = LogRation(n_lines=60, period_s=60.0)
         self._turned_away = _TurnedAway()
         self._lock = threading.Lock()
 
@@ -99,6 +105,13 @@ class AuditLog:
         if self._announced[node] != body:
             self._announced[node] = body
             self.note(ANNOUNCED, facts=facts, node=node)
+
+    def note_repeated(self, request: StimulationRequest) -> None:
+        """Put a request on record whose id was known; of a flood of them some rows a minute, the others counted."""
+        n_others = self._repeated.ask(now_ns=self._clock())
+        if n_others is not None:
+            facts = {"command_id": request.command_id, "action": request.action.value, "issued_wall_ns": request.issued_wall_ns}
+            self.note(REPEATED, facts={**facts, "others_before": n_others}, operator=request.operator, node=request.node)
 
     def turn_away(self, octets: bytes, reason: str) -> None:
         """Count a query that was no command, or one too many; from any thread. A row of it is written at most once a minute."""
@@ -164,6 +177,8 @@ class AuditLog:
 
 def facts_of(body: bytes) -> dict[str, object]:
     """Return the facts of an entry's body; of what is no map, its octets."""
+    if not body:
+        return {}
     try:
         return msgspec.msgpack.decode(body, type=dict[str, object])
     except (msgspec.DecodeError, UnicodeDecodeError):

@@ -61,6 +61,7 @@ class Commanding:
             is_commander_there=commanders.is_there,
             controlled=book.controlled.keys,
             controller_of=book.operator_of,
+            on_repeated=audit.note_repeated,
         )
         dead_man = DeadMan(
             gate=gate,

@@ -73,8 +73,8 @@ def line_of(entry: AuditEntry) -> str:
     head = f"{values['time']} {entry.id:>6} {who}"
     if not entry.command_id:
         facts = facts_of(entry.body)
-        said = " ".join(f"{escaped(name)}={_value(value)}" for name, value in facts.items())
-        return f"{head}{escaped(entry.kind)}{whom} {said}".rstrip()
+        said = [f"{escaped(name)}={_value(value)}" for name, value in facts.items()]
+        return " ".join((f"{head}{escaped(entry.kind)}{whom}", *([escaped(entry.stage)] if entry.stage else ()), *said))
     parts = [f"{head}{values.get('action', 'command')}{whom} {escaped(entry.stage).replace('_', ' ')}"]
     if entry.train_ms:
         parts.append(f"{entry.train_ms} ms of stimulation")

@@ -18,9 +18,18 @@ _A_PAGE = 512
 """Rows read in one moment of the file: a gateway that writes meanwhile needs no more disk for whoever reads slowly."""
 
 _DOSES = """
-SELECT node, sum(train_ms > 0), sum(train_ms), max(CASE WHEN train_ms > 0 THEN wall_ns END), sum(stage = 'accepted'),
-  sum(stage = 'biobot_confirmed'), sum(stage = 'refused'), sum(stage = 'failed'), sum(stage = 'unknown')
-FROM audit WHERE kind IN ('stage', 'sent_again') AND node IS NOT NULL GROUP BY node ORDER BY node"""
+WITH unsent AS (
+  SELECT command_id, node, max(id) AS last FROM audit
+  WHERE command_id <> '' AND (kind = 'taken_back' OR (kind = 'stage' AND stage IN ('refused', 'failed'))) GROUP BY command_id, node),
+told AS (
+  SELECT node, train_ms, wall_ns, kind, stage, train_ms > 0 AND coalesce(last, 0) < id AS is_given
+  FROM audit LEFT JOIN unsent USING (command_id, node)
+  WHERE command_id <> '' AND node IS NOT NULL)
+SELECT node, sum(is_given), sum(train_ms * is_given), max(CASE WHEN is_given THEN wall_ns END), sum(kind = 'stage' AND stage = 'accepted'),
+  sum(kind = 'stage' AND stage = 'biobot_confirmed'), sum(kind = 'stage' AND stage = 'refused'), sum(kind = 'stage' AND stage = 'failed'),
+  sum(kind = 'stage' AND stage = 'unknown')
+FROM told GROUP BY node ORDER BY node"""
+"""A train counts from when it is admitted, unless a later row of its command says that it never left."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +53,7 @@ class UnreadableRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dose:
-    """How a biobot was stimulated, as far as the log goes back: trains admitted and their time, commands by what became of them."""
+    """How a biobot was stimulated, as far as the log goes back: trains and their time, commands by what became of them."""
 
     node: NodeId
     n_trains: int

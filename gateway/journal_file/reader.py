@@ -9,7 +9,7 @@ from pathlib import Path
 
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord, MissionRecord, ModeRecord, decode_journal_record
 from firmware_protocol.errors import RecordError
-from firmware_protocol.units import BootId, NodeId
+from firmware_protocol.units import NS_PER_S, BootId, NodeId
 from gateway.journal_file.audit_chain import COLUMNS, entry_of
 from gateway.journal_file.audit_table import WIRE_COMMAND
 from gateway.journal_file.blobs import (
@@ -28,6 +28,15 @@ from gateway.journal_file.writes import AuditEntry, Damage, UplinkReport
 
 _KEPT_SEGMENTS = 16
 """Unpacked segments that a reader keeps: late reports of one moment ask for the same ones."""
+
+_RECENT_TRAINS_NS = 7200 * NS_PER_S
+"""Trains count for an hour at most (``stimulation.window_s``), by how long gateways ran."""
+
+_NEWEST_AUDIT = f"""
+SELECT {COLUMNS}, chain FROM audit WHERE command_id <> '' AND id IN (
+  SELECT id FROM audit WHERE id > (SELECT coalesce(max(id), 0) FROM audit) - ?
+  UNION SELECT id FROM audit WHERE train_ms > 0 AND ran_ns > (SELECT ran_ns FROM audit ORDER BY id DESC LIMIT 1) - ?)
+ORDER BY id"""  # noqa: S608  # constants of this package
 
 _HEAD = "first_offset, segment, encoding, crc, n_records"
 _Head = tuple[int, int, int, int, int]
@@ -181,25 +190,18 @@ class JournalReader:
         return [body for (body,) in self._connection.execute("SELECT body FROM nodes ORDER BY node")]
 
     def read_audit(self, *, command_id: str) -> list[AuditEntry]:
-        """Return all stages of a command, in order."""
-        return self._audit("WHERE command_id = ? ORDER BY id", (command_id,))
-
-    def read_audit_since(self, wall_ns: int) -> list[AuditEntry]:
-        """Return the stages of all commands from an instant on, in order."""
-        return self._audit("WHERE wall_ns >= ? AND command_id <> '' ORDER BY id", (wall_ns,))
+        """Return all rows of a command, in order."""
+        # The second condition is the index's own: without it all rows are looked through.
+        return self._audit("WHERE command_id = ? AND command_id <> '' ORDER BY id", (command_id,))
 
     def read_newest_audit(self, *, limit: int) -> Iterator[AuditEntry]:
-        """Yield the rows of commands that are among the newest ``limit`` rows of the audit log, in order."""
-        where = "WHERE id > (SELECT coalesce(max(id), 0) FROM audit) - ? AND command_id <> '' ORDER BY id"
-        rows = self._connection.execute(f"SELECT {COLUMNS}, chain FROM audit {where}", (limit,))  # noqa: S608  # constants of this package
-        return map(entry_of, rows)
+        """Yield the rows of commands among the newest ``limit`` rows of the audit log, and older ones with recent trains, in order.
 
-    def read_audit_trains(self, *, since_ran_ns: int) -> list[AuditEntry]:
-        """Return the entries with trains that came to lie on disk after gateways had run so long on the journal, in order.
-
-        ``JournalIdentity.instant_of`` says when each was given.
+        However many commands were refused since, no train that may still count is missing. ``JournalIdentity.instant_of`` says when each
+        was written.
         """
-        return self._audit("WHERE train_ms > 0 AND ran_ns >= ? ORDER BY id", (since_ran_ns,))
+        rows = self._connection.execute(_NEWEST_AUDIT, (limit, _RECENT_TRAINS_NS))
+        return map(entry_of, rows)
 
     def read_last_audit(self, *, kind: str, node: NodeId | None = None) -> AuditEntry | None:
         """Return the newest entry of a kind, of a biobot where one is named; not for stages of commands, which are many."""

@@ -39,7 +39,6 @@ _AUDIT_TABLES = (
   operator TEXT NOT NULL, node INTEGER, command_id TEXT NOT NULL, wire_command INTEGER, stage TEXT NOT NULL, train_ms INTEGER NOT NULL,
   request BLOB NOT NULL, body BLOB NOT NULL, chain BLOB NOT NULL)""",
     "CREATE INDEX audit_of_command ON audit (command_id, id) WHERE command_id <> ''",
-    "CREATE INDEX audit_of_time ON audit (wall_ns)",
     "CREATE INDEX audit_of_trains ON audit (ran_ns) WHERE train_ms > 0",
     "CREATE INDEX audit_of_kind ON audit (kind, node, id) WHERE kind <> 'stage'",
 )

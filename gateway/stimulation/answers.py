@@ -31,7 +31,9 @@ class AnswerKeeper:
     async def wait(self, command: Command, sendings: list[Sending], *, until_ns: int) -> None:
         """Return when the biobot has answered, when one of the frames has a fate, or at an instant."""
         rest_s = (until_ns - self._now_ns()) / NS_PER_S
-        if rest_s > 0 and not command.reply.done():
+        if rest_s <= 0:
+            await asyncio.sleep(0)  # an answer may be there that the loop had no time for
+        elif not command.reply.done():
             ends: set[asyncio.Future[Any]] = {command.reply, *sendings}
             if command.is_stop:
                 ends.add(command.overtaken)  # another stop has taken its place

@@ -65,6 +65,8 @@ class StimulationGate:
         Biobots under controlled motion: whom a stop of all stops first.
     controller_of
         Who moves a biobot now, for its account.
+    on_repeated
+        Told of a request whose id is known: it is a repetition, or another command under the same id.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class StimulationGate:
         is_commander_there: Callable[[str], bool] = lambda _: False,
         controlled: Callable[[], Iterable[NodeId]] = tuple,
         controller_of: Callable[[NodeId], str] = lambda _: "",
+        on_repeated: Callable[[StimulationRequest], None] = lambda _: None,
     ) -> None:
         self._config = config
         self._nodes = nodes
@@ -94,6 +97,7 @@ class StimulationGate:
         self._now_ns = now_ns
         self._wall_clock = wall_clock
         self._is_commander_there = is_commander_there
+        self._on_repeated = on_repeated
         self._account_listeners: list[AccountListener] = []
         self._is_stopping = False
         self._book = CommandBook()
@@ -233,6 +237,7 @@ class StimulationGate:
                 return
         if known is not None:
             self._health.count("command.repeated")
+            self._on_repeated(request)
             if _is_same(known.request, request):
                 await self._answer_again(known, command.listeners[0])
                 return

@@ -64,8 +64,8 @@ class Stops:
 
     async def run(self, command: Command) -> None:
         """Take a stop to its last stage."""
-        retry_ns, began_ns = int(self._table.stop_retry_s * NS_PER_S), self._now_ns()
-        end_ns = began_ns + self._table.stop_attempts * retry_ns
+        retry_ns = int(self._table.stop_retry_s * NS_PER_S)
+        end_ns = self._now_ns() + self._table.stop_attempts * retry_ns
         reason = ""
         try:
             for attempt in range(self._table.stop_attempts):
@@ -75,7 +75,8 @@ class Stops:
                     self.overtake(command)
                     self._make_room(command)
                 self._tell_sent(command, n_before=n_before, end_ns=end_ns)
-                if await self._await_answer(command, until_ns=began_ns + (attempt + 1) * retry_ns, end_ns=end_ns):
+                # From now, not from the begin: where this process was held up, each repetition has its time all the same.
+                if await self._await_answer(command, until_ns=self._now_ns() + retry_ns, end_ns=end_ns):
                     return
                 self._withdraw_train(command)
         finally:

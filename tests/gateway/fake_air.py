@@ -20,6 +20,11 @@ from gateway.stimulation import StimulationGate
 from tests.gateway.harness import a_request
 
 QUICK = StimulationTable(stop_retry_s=0.02, stop_attempts=3, reply_timeout_s=0.2, flight_s=0.1)
+"""Soon out of patience: for what is not answered."""
+
+PATIENT = StimulationTable(stop_retry_s=0.05, stop_attempts=20, reply_timeout_s=20.0, flight_s=0.1)
+"""For what is answered, on a machine that may be busy."""
+
 RADIO_TIMEOUT_S = 0.3
 
 
@@ -141,7 +146,7 @@ def a_command(
 async def a_site(
     path: Path,
     *nodes: int,
-    config: StimulationTable = QUICK,
+    config: StimulationTable = PATIENT,
     now_ns: Callable[[], int] = time.monotonic_ns,
     wall_clock: Callable[[], int] = time.time_ns,
     is_commander_there: Callable[[str], bool] = lambda _: False,

@@ -7,7 +7,7 @@ from pathlib import Path
 _AUDIT = """
 DROP VIEW commits;
 ALTER TABLE audit RENAME TO chained;
-DROP INDEX audit_of_command; DROP INDEX audit_of_time; DROP INDEX audit_of_trains; DROP INDEX audit_of_kind;
+DROP INDEX audit_of_command; DROP INDEX audit_of_trains; DROP INDEX audit_of_kind;
 CREATE TABLE audit (
   id INTEGER PRIMARY KEY, wall_ns INTEGER NOT NULL, command_id TEXT NOT NULL, wire_command INTEGER, stage TEXT NOT NULL,
   node INTEGER NOT NULL, train_ms INTEGER NOT NULL, request BLOB NOT NULL, body BLOB NOT NULL, ran_ns INTEGER NOT NULL DEFAULT 0);

@@ -15,7 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.units import NS_PER_S
+from firmware_protocol.contract.commands import Stage
+from firmware_protocol.units import NS_PER_S, NodeId
 from gateway.journal_file import (
     AuditEntry,
     AuditFindings,
@@ -112,7 +113,7 @@ _edits: st.SearchStrategy[_Edit] = st.one_of(
 
 
 @given(edit=_edits)
-@settings(max_examples=300)
+@settings(max_examples=150)
 def test_whatever_is_changed_is_found(whole: Image, edit: _Edit) -> None:
     found, has_changed = _verified(whole, edit)
     assert (found.fault is not None) == has_changed, found
@@ -361,6 +362,48 @@ def test_trains_of_before_are_placed_without_a_wall_clock(tmp_path: Path) -> Non
         with contextlib.closing(_open(path, now_ns=opened_ns, machine_boot=machine_boot, clock=partial(int, opened_ns))) as file:
             identity = file.identity
             with contextlib.closing(JournalReader(path)) as reader:
-                trains = reader.read_audit_trains(since_ran_ns=identity.ran_ns - 60 * NS_PER_S)
-                assert [entry.command_id for entry in reader.read_audit_trains(since_ran_ns=identity.ran_ns - NS_PER_S)] == ["c1007"] * 2
+                trains = list(reader.read_newest_audit(limit=99))
             assert [identity.instant_of(entry) // NS_PER_S for entry in trains if entry.node == 3] == expected
+
+
+def test_a_flood_of_refusals_hides_no_train_from_a_restart(tmp_path: Path) -> None:
+    path, now_ns = tmp_path / "j", 0
+    with contextlib.closing(_open(path, clock=lambda: now_ns)) as file, contextlib.closing(JournalReader(path)) as reader:
+        commit(file, [a_stage(0)])
+        now_ns = 8000 * NS_PER_S
+        commit(file, [a_stage(1)])
+        now_ns += 3600 * NS_PER_S
+        commit(file, [a_stage(number, stage=Stage.REFUSED) for number in range(2, 50)])
+        assert [entry.command_id for entry in reader.read_newest_audit(limit=3)] == ["c1", "c47", "c48", "c49"]
+
+
+def test_what_a_command_needs_of_the_log_takes_no_longer_in_a_long_one(tmp_path: Path) -> None:
+    """In steps of SQLite's machine, which do not depend on the computer."""
+    steps = 0
+
+    def step() -> int:
+        nonlocal steps
+        steps += 1
+        return 0
+
+    def count(ask: Callable[[JournalReader], object]) -> int:
+        nonlocal steps
+        steps = 0
+        ask(reader)
+        return steps
+
+    path = tmp_path / "j"
+    with contextlib.closing(_open(path)) as file, contextlib.closing(JournalReader(path)) as reader:
+        reader._connection.set_progress_handler(step, 1)
+        asked: list[Callable[[JournalReader], object]] = [
+            lambda reader: reader.read_audit(command_id="c3"),
+            lambda reader: reader.read_last_audit(kind="limits"),
+            lambda reader: reader.read_last_audit(kind="announced", node=NodeId(3)),
+            lambda reader: reader.read_last_wire_command(),
+            lambda reader: list(reader.read_newest_audit(limit=3)),
+        ]
+        commit(file, (a_stage(number, stage=Stage.REFUSED) for number in range(20)))
+        few = [count(ask) for ask in asked]
+        commit(file, (a_stage(number, stage=Stage.REFUSED) for number in range(20, 3000)))
+        many = [count(ask) for ask in asked]
+    assert all(after <= before + 20 for before, after in zip(few, many, strict=True)), (few, many)

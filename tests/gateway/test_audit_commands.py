@@ -8,6 +8,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -130,12 +131,16 @@ def test_doses_are_told_by_biobot(tmp_path: Path, capsys: _Captured) -> None:
     path = tmp_path / "j"
     with contextlib.closing(open_journal_file(path, now_wall_ns=WALL_NS, now_ns=0, machine_boot="m")) as file:
         commit(file, [a_stage(number, stage=stage) for number in range(2) for stage in (Stage.ACCEPTED, Stage.BIOBOT_CONFIRMED)])
-        commit(file, [a_stage(5, node=9, stage=Stage.REFUSED), a_note(7)])
+        commit(
+            file,
+            [a_stage(5, node=9), a_stage(5, node=9, stage=Stage.REFUSED), a_stage(6), replace(a_stage(6), kind="taken_back", train_ms=0)],
+        )
+        commit(file, [a_note(7)])
     status, out, _ = _run(capsys, "stats", path)
     assert status == 0
     assert [line.split() for line in out.splitlines()[1:]] == [
-        ["3", "2", "1.0", "2", "2", "0", "0", "0", "2026-11-18T11:06:41.000Z"],
-        ["9", "0", "0.0", "0", "0", "1", "0", "0", "-"],
+        ["3", "2", "1.0", "3", "2", "0", "0", "0", "2026-11-18T11:06:41.000Z"],
+        ["9", "0", "0.0", "1", "0", "1", "0", "0", "-"],
     ]
     _, out, _ = _run(capsys, "stats", path, "--json")
     assert [dose["on_ms"] for dose in json.loads(out)] == [1000, 0]

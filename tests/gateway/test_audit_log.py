@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from firmware_protocol.contract.commands import StimulationAction, StimulationRequest
 from firmware_protocol.messages import Limits
-from firmware_protocol.units import NodeId
+from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.audit_log import AuditLog, facts_of
 from gateway.commands.audit_lines import line_of, shown
 from gateway.config import StimulationTable
@@ -160,3 +161,29 @@ def test_what_does_not_fit_before_the_disk_is_counted_and_a_later_row_says_how_m
     assert (lost.id, facts_of(lost.body)) == (1, {"n": 3})
     found = verify_audit_of(tmp_path / "j", tell=lambda _: None)
     assert (found.fault, found.n_rows) == (None, 2)
+
+
+def test_a_flood_of_repetitions_is_some_rows_and_a_count(tmp_path: Path) -> None:
+    request = StimulationRequest(
+        command_id="c1", node=NodeId(3), action=StimulationAction.START, operator="ann", issued_wall_ns=Nanoseconds(1)
+    )
+    now_ns = 0
+
+    async def story() -> None:
+        nonlocal now_ns
+        journal = Journal.open(tmp_path / "j", health=Health())
+        reader = journal.reader()
+        audit = AuditLog(journal=journal, reader=reader, health=Health(), clock=lambda: now_ns)
+        running = asyncio.ensure_future(journal.run())
+        for _ in range(1000):
+            audit.note_repeated(request)
+        now_ns = 60 * NS_PER_S
+        audit.note_repeated(request)
+        await journal.drain()
+        running.cancel()
+        reader.close()
+        journal.close()
+
+    asyncio.run(story())
+    rows = list(read_audit_rows(tmp_path / "j", AuditSelection(kind="repeated", node=3, operator="ann")))
+    assert [facts_of(row.body)["others_before"] for row in rows if isinstance(row, AuditEntry)] == [0] * 60 + [940]

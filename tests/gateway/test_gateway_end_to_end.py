@@ -16,6 +16,7 @@ from firmware_protocol.messages import Action
 from firmware_protocol.units import NodeId
 from gateway.config import MissionTable
 from gateway.errors import BusError, JournalUnfitError, TransportSpecError
+from gateway.journal_file import verify_audit_of
 from gateway.service import Service
 from tests.gateway.fake_radio import FakeDongle, a_dongle, on_pty, on_tcp, until
 from tests.gateway.harness import a_config, a_request, command, history, listening, running
@@ -188,8 +189,11 @@ def test_stale_future_unknown_and_too_frequent_commands_are_refused_and_audited(
                     assert stages[-1].stage is Stage.BIOBOT_CONFIRMED, "a stop is never too old, nor too soon"
         with sqlite3.connect(config.journal) as journal:
             audited = Counter(stage for (stage,) in journal.execute("SELECT stage FROM audit WHERE kind = 'stage'"))
+            kinds = [kind for (kind,) in journal.execute("SELECT kind FROM audit WHERE kind IN ('gateway', 'limits') ORDER BY id")]
         journal.close()
         assert audited == {"refused": 5, "accepted": 2, "radio_confirmed": 2, "biobot_confirmed": 2}
+        assert kinds == ["gateway", "limits", "gateway"]
+        assert verify_audit_of(Path(config.journal), tell=lambda _: None).fault is None
 
     asyncio.run(story())
 

@@ -13,18 +13,25 @@ from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refu
 from firmware_protocol.contract.records import Mode
 from firmware_protocol.messages import StimulationResult
 from firmware_protocol.units import BootId, Nanoseconds, NodeId, ShortAddress
+from gateway.config import StimulationTable
 from gateway.journal_file import JournalReader, JournalWrite
 from gateway.nodes import NodeMemory
 from gateway.radio import Fate
-from tests.gateway.fake_air import QUICK, Frame, Site, a_command, a_site
+from tests.gateway.fake_air import PATIENT, QUICK, Frame, Site, a_command, a_site
 from tests.gateway.fake_radio import until
 
 _STOP, _START, _LEFT = StimulationAction.STOP, StimulationAction.START, StimulationAction.TURN_LEFT
 
 
-def _run(path: Path, *nodes: int, story: Callable[[Site], Awaitable[None]], is_killed: bool = False) -> None:
+def _run(
+    path: Path,
+    *nodes: int,
+    story: Callable[[Site], Awaitable[None]],
+    is_killed: bool = False,
+    config: StimulationTable = PATIENT,
+) -> None:
     async def run() -> None:
-        async with a_site(path, *(nodes or (5,)), is_killed=is_killed) as site:
+        async with a_site(path, *(nodes or (5,)), is_killed=is_killed, config=config) as site:
             await story(site)
 
     asyncio.run(run())
@@ -228,7 +235,7 @@ def test_every_stage_but_the_last_says_by_when_the_next_one_comes_and_keeps_to_i
             assert stages[-1].deadline_wall_ns is None
             assert len(site.air.sent_to(node)) == 1, "never sent again"
 
-    _run(tmp_path / "j", 5, 6, story=story)
+    _run(tmp_path / "j", 5, 6, story=story, config=QUICK)
 
 
 def test_a_stop_overtakes_what_waits_for_the_disk_or_for_the_line(tmp_path: Path) -> None:
@@ -301,7 +308,7 @@ def test_an_answer_after_the_last_stage_is_put_on_record_and_changes_no_outcome(
         assert [entry.kind for entry in reader.read_audit(command_id="late")][-1] == "late_reply"
         reader.close()
 
-    _run(tmp_path / "j", story=story)
+    _run(tmp_path / "j", story=story, config=QUICK)
 
 
 def test_a_train_that_another_biobot_got_counts_for_that_one(tmp_path: Path) -> None:
@@ -314,7 +321,7 @@ def test_a_train_that_another_biobot_got_counts_for_that_one(tmp_path: Path) -> 
         assert refused.refusal is Refusal.GAP
         assert _told(await starting)[-1] is Stage.UNKNOWN
 
-    _run(tmp_path / "j", 5, 6, story=story)
+    _run(tmp_path / "j", 5, 6, story=story, config=QUICK)
 
 
 def test_a_biobot_has_no_more_commands_under_way_than_its_backpack_can_keep(tmp_path: Path) -> None:
@@ -330,7 +337,7 @@ def test_a_biobot_has_no_more_commands_under_way_than_its_backpack_can_keep(tmp_
         assert sum("newer stops" in end.reason for end in ends) == 12, "a stop is sent all the same, and takes the oldest one's place"
         assert len([frame for frame in site.air.frames if frame.message.action.name == "STOP"]) >= 20
 
-    _run(tmp_path / "j", story=story)
+    _run(tmp_path / "j", story=story, config=QUICK)
 
 
 def test_a_stop_with_the_id_of_another_command_stops_all_the_same(tmp_path: Path) -> None:
@@ -376,8 +383,8 @@ def test_accounts_are_the_same_after_a_restart(tmp_path: Path) -> None:
                 assert getattr(after, name) == getattr(before, name), name
             assert abs(after.habituation - before.habituation) < 0.01
 
-    _run(tmp_path / "j", 5, 6, 7, story=live)
-    _run(tmp_path / "j", 5, 6, 7, story=look)
+    _run(tmp_path / "j", 5, 6, 7, story=live, config=QUICK)
+    _run(tmp_path / "j", 5, 6, 7, story=look, config=QUICK)
 
 
 def test_a_stop_on_a_full_disk_is_sent_at_once_and_on_record_when_there_is_room(tmp_path: Path) -> None:

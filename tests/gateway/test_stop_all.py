@@ -12,7 +12,7 @@ from firmware_protocol.units import EVERYBODY, NodeId
 from gateway.journal_file import JournalWrite
 from gateway.radio import Fate
 from gateway.stimulation.parts import stop_of
-from tests.gateway.fake_air import Site, a_command, a_site
+from tests.gateway.fake_air import QUICK, Site, a_command, a_site
 from tests.gateway.fake_radio import until
 
 _ALL = StimulationAction.STOP_ALL
@@ -63,7 +63,7 @@ def test_a_biobot_that_answers_the_broadcast_is_not_sent_to_again(tmp_path: Path
 
 def test_who_does_not_confirm_is_named(tmp_path: Path) -> None:
     async def story() -> None:
-        async with a_site(tmp_path / "j", *range(1, 21)) as site:
+        async with a_site(tmp_path / "j", *range(1, 21), config=QUICK) as site:
             site.air.answers = lambda node, _n: node > 12
             stages, parts = await _heard(site)
             assert stages[-1].stage is Stage.UNKNOWN
@@ -79,7 +79,7 @@ def test_who_does_not_confirm_is_named(tmp_path: Path) -> None:
 
 def test_without_a_biobot_the_broadcast_is_all_and_without_a_radio_it_fails(tmp_path: Path) -> None:
     async def story() -> None:
-        async with a_site(tmp_path / "j") as site:
+        async with a_site(tmp_path / "j", config=QUICK) as site:
             stages, _ = await _heard(site)
             assert stages[-1].stage is Stage.BIOBOT_CONFIRMED
             site.air.fate = Fate.UNKNOWN
@@ -88,7 +88,7 @@ def test_without_a_biobot_the_broadcast_is_all_and_without_a_radio_it_fails(tmp_
             failed = (await site.stages(EVERYBODY, _ALL))[-1]
             assert failed.stage is Stage.FAILED
             assert "no radio is up" in failed.reason
-        async with a_site(tmp_path / "k", 1, 2) as site:
+        async with a_site(tmp_path / "k", 1, 2, config=QUICK) as site:
             site.air.is_down = True
             stages, parts = await _heard(site)
             assert stages[-1].stage is Stage.FAILED

@@ -20,7 +20,7 @@ from studies.gate_histories.story import tell
 from studies.gate_histories.world import Order, World
 
 TestGateHistory = GateHistory.TestCase
-TestGateHistory.settings = settings(max_examples=150, stateful_step_count=25, deadline=None)
+TestGateHistory.settings = settings(max_examples=100, stateful_step_count=25, deadline=None)
 
 _TURN, _STOP = StimulationAction.TURN_LEFT, StimulationAction.STOP
 
