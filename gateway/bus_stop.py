@@ -7,6 +7,7 @@ id is obeyed once, so it does no harm where both arrive.
 import queue
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -19,7 +20,7 @@ from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.errors import KeyExpressionError, RecordError
 from gateway.bus_client import nobody_alive
 from gateway.bus_session import open_client
-from gateway.errors import CommandError
+from gateway.errors import BusError, CommandError
 from gateway.log import EventLog
 
 _log = EventLog(__name__)
@@ -55,7 +56,11 @@ def stop_everywhere(
     BusError
         Nobody can be connected to.
     """
-    with open_client(connect=connect, tls=tls, timing=timing) as session:
+    with ExitStack() as stack:
+        try:
+            session = stack.enter_context(open_client(connect=connect, tls=tls, timing=timing))
+        except BusError as error:
+            raise BusError(f"nothing was stopped: {error}") from error
         call = _Call(session, requests=requests, site=site, gateway=gateway, timeout_s=timeout_s)
         yield from call.run()
         if not call.known:

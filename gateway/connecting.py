@@ -29,7 +29,7 @@ def diagnose(endpoint: str, tls: TlsTable) -> str:
                 return _ACCEPTED
             return _shake_hands(line, host=host, tls=tls)
     except ConnectionRefusedError:
-        return "nobody listens there; is the router running, and the port right?"
+        return "nobody listens there; is the gateway or router running, and the port right?"
     except TimeoutError:
         return f"no answer within {_CONNECT_S:g} s; is the machine on, and the network there?"
     except ssl.SSLError as error:

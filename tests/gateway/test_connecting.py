@@ -24,7 +24,7 @@ def test_a_busy_port_is_told_as_one_and_nothing_else() -> None:
 def test_a_dead_port_is_asked_one_question() -> None:
     with pytest.raises(BusError) as caught:
         open_client(connect=[f"tcp/127.0.0.1:{free_port()}"], tls=TlsTable())
-    assert str(caught.value).endswith(": nobody listens there; is the router running, and the port right?")
+    assert str(caught.value).endswith(": nobody listens there; is the gateway or router running, and the port right?")
 
 
 @pytest.mark.parametrize(

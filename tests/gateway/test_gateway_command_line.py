@@ -204,8 +204,15 @@ def test_the_status_of_a_gateway_that_is_not_there_fails_and_says_what_to_look_a
     result = _in_process("status", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path)
 
     assert result.returncode == 1
-    assert "nobody listens there; is the router running, and the port right?" in result.stderr
+    assert "nobody listens there; is the gateway or router running, and the port right?" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_a_stop_that_reaches_nobody_says_that_nothing_was_stopped(tmp_path: Path) -> None:
+    result = _in_process("stop", "--all", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path)
+
+    assert result.returncode == 1
+    assert "nothing was stopped: cannot connect: " in result.stderr
 
 
 def test_the_status_of_a_running_gateway_is_printed(tmp_path: Path) -> None:
