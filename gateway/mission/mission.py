@@ -37,6 +37,7 @@ _ON_DISK_S = 2.0
 """An order's answer waits so long for the disk."""
 
 _RESTORED_ORDERS = 256
+_STARTS = {StimulationAction.START, StimulationAction.FOLLOW_WALLS}
 
 
 class Note(Protocol):
@@ -173,7 +174,7 @@ class Mission:
         if request.action is StimulationAction.STOP_ALL:
             walking = [node.node for node in self._nodes.all() if node.mode is None or node.mode.mode is Mode.CRW]
             self._proceed(self._planner.stop_all(operator=request.operator, walking=walking, now_ns=now_ns))
-        elif request.action is StimulationAction.START and request.operator != OPERATOR and request.node in self.state.landmarks:
+        elif request.action in _STARTS and request.operator != OPERATOR and request.node in self.state.landmarks:
             self._lose(request.node, reason=f"{request.operator} let it walk", is_let_go=False)
 
     def take_records(self, committed: Committed) -> None:
