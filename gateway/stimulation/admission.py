@@ -85,9 +85,9 @@ def _why_unfit(node: Node) -> Refused | None:
 
 
 def _why_unable(node: Node, action: StimulationAction) -> Refused | None:
-    if action is not StimulationAction.FOLLOW_WALLS or node.capabilities & Capability.FOLLOW_WALLS:
+    if action is not StimulationAction.FOLLOW_WALLS or (node.is_introduced and node.capabilities & Capability.FOLLOW_WALLS):
         return None
-    why = "its backpack does not say that it can" if node.is_introduced else "its backpack has not said yet what it can"
+    why = "its backpack does not say that it can" if node.is_introduced else "its backpack has not said since its start what it can"
     return Refused(refusal=Refusal.UNFIT_BIOBOT, reason=f"biobot {node.node} is not told to follow walls: {why}; ask for start instead")
 
 

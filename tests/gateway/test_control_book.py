@@ -117,7 +117,7 @@ class Obvious:
             elif not is_stop and stage is Stage.ACCEPTED and reached:
                 if request.commander or request.hold_ms:
                     current = request.command_id
-                elif request.action is StimulationAction.START:
+                elif request.action in {StimulationAction.START, StimulationAction.FOLLOW_WALLS}:
                     current = None
         return current
 

@@ -1,5 +1,7 @@
 """Laws of insects that are told to follow walls, whatever the law of all others: until a start, a stop, or the end of the hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -19,9 +21,11 @@ TOLD = range(1, 21)
 OTHERS = (WallLaw.UNIFORM, WallLaw.COSINE, WallLaw.MIRROR)
 
 
-def a_world(law: WallLaw, *, arena: Arena | None = None, **motion: float) -> World:
-    walk = MotionParameters(speed=1.0, mean_leg=3.0, wall_law=law, **motion)  # type: ignore[arg-type]
-    return World(arena or square(), motion=walk, ranges=Ranges(detection=0.5, communication=2.0), ids=IDS, seed=4)
+WALKING = MotionParameters(speed=1.0, mean_leg=3.0)
+
+
+def a_world(law: WallLaw, *, arena: Arena | None = None, motion: MotionParameters = WALKING) -> World:
+    return World(arena or square(), motion=replace(motion, wall_law=law), ranges=Ranges(detection=0.5, communication=2.0), ids=IDS, seed=4)
 
 
 def along_walls(world: World) -> tuple[Legs, np.ndarray]:
@@ -74,7 +78,7 @@ def test_a_start_and_a_stop_end_it(verb: str) -> None:
 
 def test_one_that_rests_at_a_wall_when_it_is_started_leaves_the_wall() -> None:
     """It must not take up the wall again where its rest is over: a start ends the following, whatever the insect does at that moment."""
-    world = a_world(WallLaw.UNIFORM, stop_hazard=0.2, short_rest_s=4.0)
+    world = a_world(WallLaw.UNIFORM, motion=replace(WALKING, stop_hazard=0.2, short_rest_s=4.0))
     for one in IDS:
         world.follow_walls(one)
     world.advance(60.0)
@@ -119,8 +123,8 @@ def test_a_snapshot_knows_who_follows_walls(law: WallLaw) -> None:
 
 
 def test_where_all_follow_walls_the_command_changes_nothing() -> None:
-    motion = {"exit_hazard": 0.3, "departure_log_sd": 0.76}
-    world, untold = a_world(WallLaw.FOLLOW, **motion), a_world(WallLaw.FOLLOW, **motion)
+    motion = replace(WALKING, exit_hazard=0.3, departure_log_sd=0.76)
+    world, untold = a_world(WallLaw.FOLLOW, motion=motion), a_world(WallLaw.FOLLOW, motion=motion)
     for at_s in range(1, 60):
         world.advance(float(at_s))
         untold.advance(float(at_s))
