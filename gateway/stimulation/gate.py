@@ -275,6 +275,7 @@ class StimulationGate:
         node = self._nodes.find(request.node) if request.node < EVERYBODY else None
         if is_for_all or (command.is_stop and node is not None):
             self._precedence.stopped(request, came_ns=command.came_ns, came_wall_ns=self._wall_clock())
+            self._effects.forget(None if is_for_all else request.node)
             self._book.number(command, self._numbers.take())
             await (self._stop_all if is_for_all else self._stops).run(command)
             return
@@ -296,6 +297,7 @@ class StimulationGate:
         if isinstance(pulse, Refused):
             await self._teller.refuse(command, pulse)
             return
+        self._effects.forget(request.node)
         self._book.number(command, self._numbers.take())
         await self._stimuli.run(command, pulse)
 

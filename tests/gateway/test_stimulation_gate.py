@@ -471,6 +471,25 @@ def test_whether_a_biobot_obeys_is_seen_by_the_mode_that_it_reports(tmp_path: Pa
     asyncio.run(story())
 
 
+def test_a_start_that_a_stop_or_its_hold_cut_short_was_not_disobeyed(tmp_path: Path) -> None:
+    async def story() -> None:
+        now_ns = time.monotonic_ns()
+        ahead_ns = [0]
+        async with a_site(tmp_path / "j", 5, now_ns=lambda: now_ns + ahead_ns[0]) as site:
+            for hold_ms, stop, after_s, answerable in ((0, StimulationAction.STOP_ALL, 1, 0), (2_000, None, 2.1, 0), (2_000, None, 1, 1)):
+                ahead_ns[0] += 60 * 10**9
+                assert _told(await site.stages(5, _START, hold_ms=hold_ms))[-1] is Stage.BIOBOT_CONFIRMED
+                ahead_ns[0] += int(after_s * 1e9)
+                if stop is not None:
+                    await site.stages(EVERYBODY, stop)
+                site.gate.on_mode(NodeId(5), Mode.S)
+                account = site.gate.account_of(NodeId(5))
+                assert account is not None
+                assert (account.n_answerable, account.n_obeyed) == (answerable, 0)
+
+    asyncio.run(story())
+
+
 def test_accounts_are_the_same_after_a_restart(tmp_path: Path) -> None:
     kept = []
 
