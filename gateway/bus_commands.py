@@ -6,6 +6,7 @@ many stops wait that nobody would hear of one more.
 
 import asyncio
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -31,15 +32,16 @@ _MAX_ORDERS = 64
 _AT_ONCE = 8
 """Commands that the loop takes at a time, so that a stop that comes meanwhile waits for no more than these."""
 
-_STOPS = {StimulationAction.STOP, StimulationAction.STOP_ALL}
+STOPS = frozenset({StimulationAction.STOP, StimulationAction.STOP_ALL})
 _AskedT = TypeVar("_AskedT")
 _AnswerT = TypeVar("_AnswerT")
 
 
 class CommandAnswer:
-    """Where the stages of one command go; may be called from the loop only."""
+    """Where the stages of one command go; may be called from the loop only. It is made when the command comes in."""
 
     def __init__(self, *, query: zenoh.Query, key: str, executor: ThreadPoolExecutor) -> None:
+        self.came_ns = time.monotonic_ns()
         self._query = query
         self._key = key
         self._executor = executor
@@ -100,7 +102,7 @@ class CommandDoor:
         except RecordError as error:
             self._turn_away(query, octets, str(error))
             return
-        lane = self._stops if request.action in _STOPS else self._others
+        lane = self._stops if request.action in STOPS else self._others
         if not lane.append(request, CommandAnswer(query=query, key=self._key, executor=self._executor)):
             self._turn_away(query, octets, f"{lane.limit} commands wait already; try again")
 

@@ -6,7 +6,7 @@ from typing import Self
 from firmware_protocol.contract.commands import StimulationRequest
 from gateway.audit_log import AuditLog
 from gateway.bus import Bus
-from gateway.bus_commands import CommandAnswer
+from gateway.bus_commands import STOPS, CommandAnswer
 from gateway.commanders import LATE_TOKEN_S, Commanders
 from gateway.config import GatewayConfig
 from gateway.control_book import ControlBook
@@ -96,7 +96,7 @@ class Commanding:
         return set(self._tasks)
 
     async def _take(self, request: StimulationRequest, answer: CommandAnswer) -> None:
-        if request.commander and not self.commanders.is_there(request.commander):
+        if request.commander and request.action not in STOPS and not self.commanders.is_there(request.commander):
             # Its token may be on its way still; the gate refuses what comes without one.
             await self.commanders.wait_for(request.commander, timeout_s=min(LATE_TOKEN_S, request.ttl_ms / 1000))
-        await self.gate.handle(request, answer.tell)
+        await self.gate.handle(request, answer.tell, came_ns=answer.came_ns)

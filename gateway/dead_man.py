@@ -111,10 +111,9 @@ class DeadMan:
             _log.info("commander.took_over", node=request.node, commander=takeover.after.commander, before=takeover.before.commander)
             self._notes.note("commander", facts=facts, operator=request.operator, node=request.node)
         control = self._book.controlled.get(request.node)
-        if stage.stage is Stage.ACCEPTED and control is not None and control.command_id == request.command_id:
-            self._health.set_level("commanders.controlled", len(self._book.controlled))
-            if control.commander and not self._commanders.is_there(control.commander):
-                self._owe(control, "its commander went while the command was taken")
+        if control is not None and control.commander and not self._commanders.is_there(control.commander):
+            # While the command was taken; or while another had taken it over, whose command then never reached the biobot.
+            self._owe(control, "its commander went while a command was under way")
         self._wake.set()
 
     def restore(self, entries: Iterable[AuditEntry]) -> None:

@@ -65,6 +65,8 @@ class IntakeListeners:
     on_status: Callable[[NodeStatus], None]
     on_neighbours: Callable[[NeighbourReport], None]
     on_reply: Callable[[NodeId, StimulateReply], None]
+    on_answer: Callable[[NodeId, StimulateReply], None]
+    """Told at once, and ``on_reply`` once more after the commit: what an animal does is worth knowing where the disk takes nothing."""
     on_duplicate: Callable[[NodeId, int, int], None]
     """A biobot's number came with one EUI-64 and then with another."""
     on_diagnostic: Callable[[NodeId, Diagnostic], None]
@@ -318,6 +320,7 @@ class Intake:
                 whole = self._nodes.take_neighbours(node, uplink, number=number, wall_ns=wall_ns)
                 return (), None if whole is None else lambda listeners: listeners.on_neighbours(whole)
             case StimulateReply():
+                asyncio.get_running_loop().call_soon(self._listeners_or_fail().on_answer, header.node, uplink)
                 report = self._mode_report(uplink, header=header, clock=clock)
                 records = () if report is None else self._take_mode(report, node=node)
                 return records, lambda listeners: listeners.on_reply(header.node, uplink)

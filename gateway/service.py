@@ -186,6 +186,7 @@ class Service:
                 on_status=partial(self._on_status, bus, gate),
                 on_neighbours=bus.publish_neighbours,
                 on_reply=gate.on_reply,
+                on_answer=gate.on_answer,
                 on_duplicate=partial(self._on_duplicate, bus),
                 on_diagnostic=partial(self._on_diagnostic, bus),
                 on_configuration=configurator.on_report,

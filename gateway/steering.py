@@ -45,7 +45,7 @@ class Step:
 
 
 def parse_script(text: str) -> list[Step]:
-    """Return the steps of a script such as ``left 2; start 5; stop``: each an action and, but for the last, seconds until the next.
+    """Return the steps of a script such as ``left 4; start 5; stop``: each an action and, but for the last, seconds until the next.
 
     Raises
     ------
@@ -61,11 +61,11 @@ def parse_script(text: str) -> list[Step]:
             wait_s = -1.0
         if word not in _WORDS or len(rest) > 1 or not 0.0 <= wait_s <= _MAX_WAIT_S:
             wanted = f"{', '.join(_WORDS)} and seconds from 0 to {_MAX_WAIT_S:g}"
-            problems.append(f"--script step {number} is {' '.join(part)!r}; wanted: one of {wanted}, such as 'left 2; start 5; stop'")
+            problems.append(f"--script step {number} is {' '.join(part)!r}; wanted: one of {wanted}, such as 'left 4; start 5; stop'")
         else:
             steps.append(Step(action=_WORDS[word], wait_s=wait_s))
     if not steps and not problems:
-        problems.append("--script has no step; give some, such as 'left 2; start 5; stop'")
+        problems.append("--script has no step; give some, such as 'left 4; start 5; stop'")
     if problems:
         raise ConfigurationError(problems)
     return steps

@@ -23,7 +23,7 @@ _MAX_HOLD_S: Final = 3600.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``steer``."""
     parser.add_argument("node", type=int, metavar="NODE", help="number of the biobot")
-    parser.add_argument("--script", metavar="STEPS", help="instead of keys: actions and seconds, such as 'left 2; start 5; stop'")
+    parser.add_argument("--script", metavar="STEPS", help="instead of keys: actions and seconds, such as 'left 4; start 5; stop'")
     parser.add_argument("--hold-s", type=float, default=10.0, metavar="S", help="a motion ends by itself after this (default: 10)")
     add_bus_arguments(parser, gateway_help="its name; needed where a site has several")
     parser.add_argument("--operator", default=os.environ.get("USER") or "operator", help="who commands; it is journaled")
@@ -72,7 +72,7 @@ def _check(options: argparse.Namespace) -> None:
     if not 1 <= len(options.operator) <= 64:
         problems.append(f"steer: --operator has {len(options.operator)} characters, but a name has 1 to 64")
     if options.script is None and not (sys.stdin.isatty() and sys.stdout.isatty()):
-        problems.append("steer: this is no terminal; give a --script, such as --script 'left 2; start 5; stop'")
+        problems.append("steer: this is no terminal; give a --script, such as --script 'left 4; start 5; stop'")
     if problems:
         raise ConfigurationError(problems)
 

@@ -23,6 +23,11 @@ MAX_RUNNING_OF_ONE = 4
 _MAX_TTL_MS = 0xFFFF
 _TURNS = {StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT}
 
+_OVERTAKEN = Refused(
+    refusal=Refusal.OVERTAKEN,
+    reason="it was issued, or came, before a stop of this biobot that is here already; send it anew if it is still wanted, and set clocks",
+)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Circumstances:
@@ -33,6 +38,7 @@ class Circumstances:
     now_wall_ns: int
     n_running: int
     n_running_of_node: int
+    is_overtaken: bool
     is_stopping: bool
     is_commander_there: bool
     journal_fault: str | None
@@ -47,7 +53,9 @@ def admit(request: StimulationRequest, *, table: StimulationTable, ledger: Train
         _why_unfit(node)
         or _why_unable(node, request.action)
         or _why_late(request, table=table, now_wall_ns=so.now_wall_ns)
-        or _why_unattended(request, so)
+        or (_OVERTAKEN if so.is_overtaken else None)
+        or why_unattended(request, is_stopping=so.is_stopping, is_commander_there=so.is_commander_there)
+        or _why_unrecorded(so)
         or _why_too_many(so)
     )
     if refused is not None:
@@ -64,6 +72,16 @@ def unknown_biobot(request: StimulationRequest) -> Refused:
     """Return the refusal of a command to a biobot that this gateway has never heard."""
     why = "it was never heard by this gateway" if request.node < EVERYBODY else f"the largest number of a biobot is {EVERYBODY - 1}"
     return Refused(refusal=Refusal.UNKNOWN_BIOBOT, reason=f"biobot {request.node} is not known here: {why}")
+
+
+def why_unattended(request: StimulationRequest, *, is_stopping: bool, is_commander_there: bool) -> Refused | None:
+    """Return why nobody would look after the command: the gateway ends, or its commander is away."""
+    if is_stopping:
+        return Refused(refusal=Refusal.STOPPING, reason="the gateway is about to end; send it when it runs again")
+    if not is_commander_there:
+        reason = f"its commander {request.commander!r} is not there: it has no liveliness token; declare it, and send the command anew"
+        return Refused(refusal=Refusal.NO_COMMANDER, reason=reason)
+    return None
 
 
 def remaining_ms(request: StimulationRequest, *, now_wall_ns: int) -> int:
@@ -102,13 +120,7 @@ def _why_late(request: StimulationRequest, *, table: StimulationTable, now_wall_
     return None
 
 
-def _why_unattended(request: StimulationRequest, so: Circumstances) -> Refused | None:
-    """Return why nobody would look after the command: the gateway ends, its commander is away, or the disk keeps no record of it."""
-    if so.is_stopping:
-        return Refused(refusal=Refusal.STOPPING, reason="the gateway is about to end; send it when it runs again")
-    if not so.is_commander_there:
-        reason = f"its commander {request.commander!r} is not there: it has no liveliness token; declare it, and send the command anew"
-        return Refused(refusal=Refusal.NO_COMMANDER, reason=reason)
+def _why_unrecorded(so: Circumstances) -> Refused | None:
     if so.journal_fault is not None:
         return Refused(refusal=Refusal.JOURNAL, reason=f"the journal takes nothing ({so.journal_fault}); make room on its disk")
     return None

@@ -26,6 +26,8 @@ class Command:
     wire_command: int | None = None
     """Its number on the wire; None: it was refused before it got one."""
     part_of: str = ""
+    came_ns: int = 0
+    """When it came in (monotonic)."""
     stages: list[CommandStage] = field(default_factory=list)
     listeners: list[StageListener] = field(default_factory=list)
     train: Train | None = None
@@ -137,3 +139,14 @@ class CommandBook:
     def _too_many(self) -> Iterator[Command]:
         while len(self._finished) > _MAX_REMEMBERED:
             yield self._finished.popitem(last=False)[1]
+
+
+def is_same(one: StimulationRequest, other: StimulationRequest) -> bool:
+    """Return whether a request repeats another one; it may have been issued anew."""
+    return (one.node, one.action, one.hold_ms, one.pulse, one.commander) == (
+        other.node,
+        other.action,
+        other.hold_ms,
+        other.pulse,
+        other.commander,
+    )

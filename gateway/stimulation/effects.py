@@ -1,6 +1,7 @@
 """Whether an insect did what it was told: the mode that its backpack reports within some seconds of a start or a stop.
 
-To follow walls is a start; a turn shows in no mode. What no report speaks of in time is left open.
+To follow walls is a start; a turn shows in no mode. What no report speaks of in time is left open, and so is what the end of its hold or a
+further command cut short.
 """
 
 from collections.abc import Callable
@@ -33,6 +34,13 @@ class Effects:
         if command.request.action in _WANTED and command.stages[-1].stage in _ANSWERED:
             self._awaited[command.request.node] = (command, self.now_ns())
 
+    def forget(self, node: NodeId | None) -> None:
+        """Await nothing more of a biobot, or (None) of all: they are told something else now, and report that."""
+        if node is None:
+            self._awaited.clear()
+        else:
+            self._awaited.pop(node, None)
+
     def judge(self, node: NodeId, mode: Mode) -> tuple[Command, bool] | None:
         """Take a reported mode; return the command that it answers for, and whether it was obeyed."""
         awaited = self._awaited.get(node)
@@ -43,4 +51,6 @@ class Effects:
         if age_ns < LATENCY_NS:
             return None
         del self._awaited[node]
-        return None if age_ns > ANSWERABLE_NS else (command, mode is _WANTED[command.request.action])
+        hold_ns = command.request.hold_ms * NS_PER_MS
+        is_held_out = bool(hold_ns) and self.now_ns() - command.came_ns >= hold_ns - LATENCY_NS
+        return None if age_ns > ANSWERABLE_NS or is_held_out else (command, mode is _WANTED[command.request.action])

@@ -24,15 +24,16 @@ from gateway.journal_file import STAGE, AuditEntry
 from gateway.log import EventLog
 from gateway.nodes import NodeBook
 from gateway.stimulation.accounts import Accounts
-from gateway.stimulation.admission import Circumstances, admit, unknown_biobot
+from gateway.stimulation.admission import Circumstances, admit, unknown_biobot, why_unattended
 from gateway.stimulation.answers import AnswerKeeper, is_done
-from gateway.stimulation.commands import Command, CommandBook
+from gateway.stimulation.commands import Command, CommandBook, is_same
 from gateway.stimulation.effects import Effects
 from gateway.stimulation.guards import Guards
 from gateway.stimulation.ledger import Train, TrainLedger
 from gateway.stimulation.numbers import GATE, WireNumbers, was_killed
 from gateway.stimulation.outside import AccountListener, AuditReader, CommandJournal, CommandListener, CommandSender, StageListener
-from gateway.stimulation.restoring import restore_trains
+from gateway.stimulation.precedence import Precedence
+from gateway.stimulation.restoring import restore_stops, restore_trains
 from gateway.stimulation.stimuli import Flight, Stimuli
 from gateway.stimulation.stop_all import StopAll
 from gateway.stimulation.stops import Stops
@@ -102,6 +103,7 @@ class StimulationGate:
         self._is_stopping = False
         self._book = CommandBook()
         self._ledger = ledger = TrainLedger(limits=config)
+        self._precedence = Precedence()
         self._effects = Effects(now_ns=now_ns)
         self._accounts = Accounts(gateway=gateway, table=config, ledger=ledger, nodes=nodes, controller_of=controller_of)
         self._teller = teller = StageTeller(gateway=gateway, journal=journal, health=health, now_ns=now_ns, wall_clock=wall_clock)
@@ -132,6 +134,8 @@ class StimulationGate:
             now_ns=now_ns,
             wall_clock=wall_clock,
             journal_fault=lambda: journal.fault,
+            why_unattended=self._why_unattended,
+            on_sent=lambda command: self._precedence.moved(command.request.node, now_ns=now_ns()),
         )
         self._stops = Stops(
             table=config,
@@ -174,9 +178,14 @@ class StimulationGate:
         """Return the accounts of all biobots that ever got a command."""
         return [account for node in self._accounts.nodes() if (account := self.account_of(node)) is not None]
 
-    async def handle(self, request: StimulationRequest, listener: StageListener) -> None:
-        """Take a command; ``listener`` hears each stage, the last one final. A known id is answered again, not obeyed again."""
-        command = Command(request=request, key=request.command_id, listeners=[listener])
+    async def handle(self, request: StimulationRequest, listener: StageListener, *, came_ns: int | None = None) -> None:
+        """Take a command; ``listener`` hears each stage, the last one final. A known id is answered again, not obeyed again.
+
+        But a stop that is issued anew under its id is, where its biobot was moved since. ``came_ns`` is when the command came in, where it
+        waited for something before it came here.
+        """
+        came_ns = self._now_ns() if came_ns is None else came_ns
+        command = Command(request=request, key=request.command_id, listeners=[listener], came_ns=came_ns)
         try:
             await self._handle(command)
         except Exception as error:  # noqa: BLE001  # one command's fault must not end the gateway, which stops the other animals
@@ -189,8 +198,14 @@ class StimulationGate:
                     self._teller.tell(command, Stage.UNKNOWN, reason=reason)
                 self._teller.answer(listener, self._teller.stage(command, Stage.UNKNOWN, reason=reason))
 
+    def on_answer(self, node: NodeId, reply: StimulateReply) -> None:
+        """Take a biobot's answer that is not on disk yet: the end of a stop does not wait for a disk."""
+        command = self._book.answered(node, reply.command)
+        if command is not None and command.is_stop:
+            self.on_reply(node, reply)
+
     def on_reply(self, node: NodeId, reply: StimulateReply) -> None:
-        """Take a biobot's answer."""
+        """Take a biobot's answer, now that it is on disk."""
         command = self._book.answered(node, reply.command)
         if command is None:
             self._take_stray(node, reply)
@@ -238,7 +253,7 @@ class StimulationGate:
         if known is not None:
             self._health.count("command.repeated")
             self._on_repeated(request)
-            if _is_same(known.request, request):
+            if is_same(known.request, request) and not self._is_wanted_again(known, request):
                 await self._answer_again(known, command.listeners[0])
                 return
             if not command.is_stop:
@@ -259,6 +274,8 @@ class StimulationGate:
         is_for_all = request.action is StimulationAction.STOP_ALL
         node = self._nodes.find(request.node) if request.node < EVERYBODY else None
         if is_for_all or (command.is_stop and node is not None):
+            self._precedence.stopped(request, came_ns=command.came_ns, came_wall_ns=self._wall_clock())
+            self._effects.forget(None if is_for_all else request.node)
             self._book.number(command, self._numbers.take())
             await (self._stop_all if is_for_all else self._stops).run(command)
             return
@@ -271,16 +288,29 @@ class StimulationGate:
             now_wall_ns=self._wall_clock(),
             n_running=self._book.n_running - 1,
             n_running_of_node=sum(not other.is_stop for other in self._book.running_of(request.node)) - 1,
+            is_overtaken=self._precedence.is_overtaken(request, came_ns=command.came_ns, now_ns=self._now_ns()),
             is_stopping=self._is_stopping,
-            is_commander_there=not request.commander or self._is_commander_there(request.commander),
+            is_commander_there=self._has_commander(request),
             journal_fault=self._journal.fault,
         )
         pulse = admit(request, table=self._config, ledger=self._ledger, so=so)
         if isinstance(pulse, Refused):
             await self._teller.refuse(command, pulse)
             return
+        self._effects.forget(request.node)
         self._book.number(command, self._numbers.take())
         await self._stimuli.run(command, pulse)
+
+    def _has_commander(self, request: StimulationRequest) -> bool:
+        return not request.commander or self._is_commander_there(request.commander)
+
+    def _why_unattended(self, request: StimulationRequest) -> Refused | None:
+        return why_unattended(request, is_stopping=self._is_stopping, is_commander_there=self._has_commander(request))
+
+    def _is_wanted_again(self, known: Command, request: StimulationRequest) -> bool:
+        """Whether a stop of a known id is no repetition of a message, but asked for anew since its biobot was moved."""
+        is_anew = known.is_stop and request.issued_wall_ns != known.request.issued_wall_ns
+        return is_anew and self._precedence.has_moved(request.node, since_ns=known.came_ns)
 
     async def _answer_again(self, known: Command, listener: StageListener) -> None:
         for stage in list(known.stages):
@@ -345,6 +375,7 @@ class StimulationGate:
         now_ns = self._now_ns()
         try:
             rows = self._accounted(self._reader.read_newest_audit(limit=_RESTORED_ROWS))
+            rows = restore_stops(self._precedence, rows, instant_of=instant_of, now_ns=now_ns)
             restore_trains(self._ledger, rows, instant_of=instant_of, latest_ns=lambda at_ns: flight.latest_ns(now_ns=at_ns), now_ns=now_ns)
             is_unknown = was_killed(self._reader.read_last_audit(kind=GATE))
         except (sqlite3.Error, RecordError, msgspec.ValidationError) as error:
@@ -362,17 +393,6 @@ class StimulationGate:
     def _may_stops_give_trains(self) -> bool:
         """Whether a restart would reckon with a stop's train that does not come to disk any more."""
         return self._numbers.are_on_record and not self._is_stopping
-
-
-def _is_same(one: StimulationRequest, other: StimulationRequest) -> bool:
-    """Whether a request repeats another one; it may have been issued anew."""
-    return (one.node, one.action, one.hold_ms, one.pulse, one.commander) == (
-        other.node,
-        other.action,
-        other.hold_ms,
-        other.pulse,
-        other.commander,
-    )
 
 
 _LONGEST_TRAIN_MS = 500

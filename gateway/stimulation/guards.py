@@ -140,6 +140,8 @@ class Guards:
 
     def _send(self, again: Command, *, n_left: int, end_ns: int) -> None:
         if again.is_final:
+            if not again.finished.is_set():
+                self._book.finish(again)  # a newer stop has taken its place
             return
         if not n_left:
             self._teller.tell(again, Stage.UNKNOWN, reason=f"no answer to {self._table.stop_attempts} stops; look at the animal")

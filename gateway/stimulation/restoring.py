@@ -1,15 +1,16 @@
-"""What a new process knows of the trains of earlier ones, from the rows of the audit log. Pure.
+"""What a new process knows of the trains and stops of earlier ones, from the rows of the audit log. Pure.
 
 Rows are placed by clocks that nobody sets; where these do not say when a train was, it counts as later than it was, never as earlier.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
-from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.records import decode_record
 from firmware_protocol.units import NS_PER_S
 from gateway.journal_file import SENT_AGAIN, STAGE, AuditEntry
 from gateway.stimulation.ledger import Train, TrainLedger
+from gateway.stimulation.precedence import KEPT_NS, Precedence
 from gateway.stimulation.telling import COMMIT_TIMEOUT_S, STRAYED, TAKEN_BACK
 
 _UNSENT = frozenset({Stage.REFUSED.value, Stage.FAILED.value})
@@ -51,6 +52,17 @@ def restore_trains(
                 ledger.take_back(row.node, trains.pop(row.command_id))
             elif row.kind == STAGE and row.stage == Stage.BIOBOT_CONFIRMED.value and not _is_stop(row):
                 known.latest_ns = min(known.latest_ns, at_ns)
+
+
+def restore_stops(
+    precedence: Precedence, rows: Iterable[AuditEntry], *, instant_of: Callable[[AuditEntry], int], now_ns: int
+) -> Iterator[AuditEntry]:
+    """Yield the rows of the audit log, and take from them which stops may yet be newer than a command that comes."""
+    for row in rows:
+        if row.kind == STAGE and row.stage == Stage.ACCEPTED.value and (at_ns := instant_of(row)) >= now_ns - KEPT_NS and _is_stop(row):
+            request = decode_record(row.request, StimulationRequest)
+            precedence.stopped(request, came_ns=min(at_ns, now_ns), came_wall_ns=row.wall_ns)
+        yield row
 
 
 def _is_stop(row: AuditEntry) -> bool:

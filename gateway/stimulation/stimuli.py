@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from firmware_protocol.contract.commands import Refusal, Stage
+from firmware_protocol.contract.commands import Refusal, Stage, StimulationRequest
 from firmware_protocol.messages import Limits
 from firmware_protocol.units import NS_PER_MS, NS_PER_S
 from gateway.config import StimulationTable
@@ -60,6 +60,8 @@ class Stimuli:
         now_ns: Callable[[], int],
         wall_clock: Callable[[], int],
         journal_fault: Callable[[], str | None],
+        why_unattended: Callable[[StimulationRequest], Refused | None],
+        on_sent: Callable[[Command], None],
     ) -> None:
         self._table = table
         self._radio_timeout_ns = int(radio_timeout_s * NS_PER_S)
@@ -73,6 +75,8 @@ class Stimuli:
         self._now_ns = now_ns
         self._wall_clock = wall_clock
         self._journal_fault = journal_fault
+        self._why_unattended = why_unattended
+        self._on_sent = on_sent
 
     async def run(self, command: Command, pulse: Pulse) -> None:
         """Take an admitted command to its last stage."""
@@ -109,6 +113,7 @@ class Stimuli:
         if command.train is not None:
             command.train.latest_ns = latest_ns
         self._guards.sent(command, until_ns=latest_ns)
+        self._on_sent(command)
         self._teller.announce(command, accepted)
         await self._follow(command, sending, sent_ns=sent_ns, unwritten_ns=sent_ns + min(int(UNWRITTEN_S * NS_PER_S), ttl_ms * NS_PER_MS))
 
@@ -168,7 +173,7 @@ class Stimuli:
             return Refused(refusal=Refusal.JOURNAL, reason=reason)
         if ttl_ms <= 0:
             return Refused(refusal=Refusal.STALE, reason="it expired before it could be sent; give it a longer time to live")
-        return None
+        return self._why_unattended(command.request)
 
     def _announced(self, command: Command) -> Limits | None:
         node = self._nodes.find(command.request.node)

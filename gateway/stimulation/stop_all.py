@@ -1,7 +1,8 @@
 """The stop of everybody: by broadcast over every radio at once, then biobot by biobot, until those within reach have confirmed.
 
 All of it has one number on the wire, so that a biobot that heard several of its frames obeys once. None has a train: the stimulation of a
-whole swarm is no way to end one. Those under controlled motion come first, and no more frames leave in a moment than queues can take.
+whole swarm is no way to end one. Those under controlled motion come first, and no more frames leave in a moment than queues can take: so of
+several stops of everybody the newest alone goes on from biobot to biobot. Those before it, which have told everybody too, end.
 """
 
 import asyncio
@@ -36,6 +37,8 @@ PAUSE_S = 0.04
 """Between two such moments: 200 frames a second, about what a ZigBee channel carries of unicasts with their acknowledgements."""
 
 _MADE_TOGETHER = 256
+_TOLD_TOGETHER = 64
+_GIVEN_WAY = "a newer stop of all has taken its place; that one's is the answer"
 _SPARE_S = 1.0
 """Beside what the rounds take, until the last stage is told."""
 
@@ -67,6 +70,7 @@ class StopAll:
         self._answers = answers
         self._now_ns = now_ns
         self._controlled = controlled
+        self._newest: _Sweep | None = None
 
     async def run(self, whole: Command) -> None:
         """Take a stop of everybody to its last stage."""
@@ -74,17 +78,25 @@ class StopAll:
         sweep.broadcast()
         self._stops.overtake(whole)
         sweep.begin(n_known=len(self._nodes))
+        if self._newest is not None:
+            self._newest.give_way()
+        self._newest = sweep
+        await asyncio.sleep(0)  # where many came at once, only the last of them goes on
         try:
             for n_before, (is_near, request) in enumerate(self._requests(whole)):
                 assert whole.wire_command is not None
                 if n_before and n_before % _MADE_TOGETHER == 0:
                     await asyncio.sleep(0)  # others have their turn
+                if sweep.has_given_way:
+                    break
                 part = Command(request=request, key=self._free_key(request.command_id), part_of=whole.request.command_id)
                 self._book.begin(part)
                 self._book.number(part, whole.wire_command)
                 sweep.add(part, is_near=is_near)
             await sweep.run()
         finally:
+            if self._newest is sweep:
+                self._newest = None
             for part in sweep.parts:
                 self._book.finish(part)
 
@@ -119,6 +131,7 @@ class _Sweep:
         now_ns: Callable[[], int],
     ) -> None:
         self.parts: list[Command] = []
+        self.has_given_way = False
         self._whole = whole
         self._table = table
         self._sender = sender
@@ -151,21 +164,32 @@ class _Sweep:
             self._n_silent += 1
         part.reply.add_done_callback(lambda _: self._on_reply(part, is_near=is_near))
 
+    def give_way(self) -> None:
+        """Send nothing more: a newer stop of everybody has come."""
+        self.has_given_way = True
+        self._news.set()
+
     async def run(self) -> None:
         """Send and wait, round after round, until all within reach have confirmed."""
         retry_ns = int(self._table.stop_retry_s * NS_PER_S)
         near = set(self._within_reach)
         far = [part for part in self.parts if part not in near]
         for attempt in range(self._table.stop_attempts):
-            if attempt:
+            if attempt and not self.has_given_way:
                 self.broadcast()
             for place, part in enumerate([*self._silent(), *(far if attempt == 0 else [])]):
                 if place and place % TOGETHER == 0:
                     await asyncio.sleep(PAUSE_S)
+                if self.has_given_way:
+                    break
                 self._stop(part)
-            if await self._is_done_by(self._now_ns() + retry_ns):
+            if self.has_given_way or await self._is_done_by(self._now_ns() + retry_ns):
                 break
-        self._end()
+        await self._end()
+
+    def _unconfirmed(self) -> list[Command]:
+        """Return those within reach that did not confirm, when all have ended: silent, unwilling, or left to newer stops."""
+        return [part for part in self._within_reach if part.stages[-1].stage is not Stage.BIOBOT_CONFIRMED]
 
     def _silent(self) -> list[Command]:
         return [part for part in self._within_reach if not part.is_final]
@@ -194,7 +218,7 @@ class _Sweep:
 
     async def _is_done_by(self, until_ns: int) -> bool:
         """Wait until there is nothing more to wait for, or an instant; return which."""
-        while self._n_silent or not self._whole.is_radio_confirmed:
+        while (self._n_silent or not self._whole.is_radio_confirmed) and not self.has_given_way:
             rest_s = (until_ns - self._now_ns()) / NS_PER_S
             if rest_s <= 0:
                 return False
@@ -222,22 +246,30 @@ class _Sweep:
         self._n_silent -= is_near
         self._news.set()
 
-    def _end(self) -> None:
+    async def _end(self) -> None:
         """Tell the last stages, of the parts and then of the whole."""
-        silent = self._silent()
-        for part in self.parts:
+        for place, part in enumerate(self.parts):
+            if place and place % _TOLD_TOGETHER == 0:
+                await asyncio.sleep(0)  # others have their turn
             if part.is_final:
                 continue
-            if part.sendings or self._whole.sendings:
+            if self.has_given_way:
+                self._teller.tell(part, Stage.UNKNOWN, reason=_GIVEN_WAY)
+            elif part.sendings or self._whole.sendings:
                 self._teller.tell(part, Stage.UNKNOWN, reason=f"no answer to {self._table.stop_attempts} stops; look at the animal")
             else:
                 self._teller.tell(part, Stage.FAILED, reason=self._why_unsent)
+        if self._whole.is_final:
+            return  # the gateway ends
+        silent = self._unconfirmed()
         n_near, n_far = len(self._within_reach), len(self.parts) - len(self._within_reach)
         beyond = f"; {n_far} others were not heard of late, and were sent one stop each" if n_far else ""
         if not any(one.sendings for one in (self._whole, *self.parts)):
             self._teller.tell(
                 self._whole, Stage.FAILED, reason=f"nothing could be sent: {self._why_unsent}; look at the animals and the radios"
             )
+        elif self.has_given_way:
+            self._teller.tell(self._whole, Stage.UNKNOWN, reason=_GIVEN_WAY)
         elif silent:
             names = ", ".join(str(part.request.node) for part in silent[:_NAMED])
             more = f" and {len(silent) - _NAMED} more" if len(silent) > _NAMED else ""

@@ -109,6 +109,8 @@ def _orders(world: World, node: NodeId, log: list[Actuation]) -> Iterator[str]:
             continue
         moves.append((one.begin_ns, call))
         yield from _moves(one, call, flight_ns=flight_ns)
+        if (stop := _newer_stop(world, call)) is not None:
+            yield f"issued before a stop: {_said(one)} of {_named(call)}, and {_named(stop)} had come"
     for (name, action), n in executed.items():
         # A stop that is asked for anew may be obeyed anew.
         n_asked = sum((call.request.command_id, call.request.action) == (name, action) for call in world.calls)
@@ -130,6 +132,21 @@ def _moves(one: Actuation, call: Call, *, flight_ns: int) -> Iterator[str]:
         yield f"late: {_said(one)} of {_named(call)} came {late_ns / NS_PER_S:.3f} s after its time to live and the flight"
     if not call.given.is_commander_there:
         yield f"no commander: {_said(one)} of {_named(call)}"
+
+
+def _newer_stop(world: World, call: Call) -> Call | None:
+    """Return a stop that had come to the same process within a minute before a call, and was issued after it."""
+    for other in world.calls[: call.number]:
+        if other.life is not call.life or other.given is None or call.given_ns - other.given_ns > _MINUTE_NS or not other.is_new:
+            continue
+        action, request = other.request.action, other.request
+        is_of_one = action is StimulationAction.STOP and request.node == call.request.node and other.given.is_known
+        # Of a clock that is ahead it is as if issued when it came.
+        if (is_of_one or action is StimulationAction.STOP_ALL) and request.issued_wall_ns + min(
+            0, other.given.age_ns
+        ) > call.request.issued_wall_ns:
+            return other
+    return None
 
 
 def _after_stops(world: World, node: NodeId, log: list[Actuation], moves: list[tuple[int, Call]]) -> Iterator[str]:

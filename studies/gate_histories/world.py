@@ -318,11 +318,12 @@ class World:
         return call
 
     def _hear(self, answer: Answer, radio: str) -> bool:
-        """Take an answer as the gateway does: it is told to the gate when it is on disk."""
+        """Take an answer as the gateway does: the gate is told at once, and again when it is on disk."""
         running = self._running
         if running.life.is_over:
             return False
         self._take(answer.node, radio)
+        running.gate.on_answer(answer.node, answer.reply)
         on_disk = running.journal.append(JournalWrite())
         on_disk.add_done_callback(lambda _: None if running.life.is_over else running.gate.on_reply(answer.node, answer.reply))
         return True

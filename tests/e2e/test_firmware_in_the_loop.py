@@ -98,6 +98,17 @@ class RunningGateway:
     def command(self, node: int, action: str) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self._run("command", str(node), action).splitlines()]
 
+    def command_once_admitted(self, node: int, action: str) -> list[dict[str, Any]]:
+        """Give a command until it is not refused: after a kill nobody is given a train for a while (docs/stimulation.md)."""
+        stages: list[dict[str, Any]] = []
+
+        def is_admitted() -> bool:
+            stages[:] = self.command(node, action)
+            return bool(stages) and stages[0]["stage"] != "refused"
+
+        self.wait_until(is_admitted, what=f"{action} of {node} is admitted")
+        return stages
+
     def status(self) -> dict[str, Any]:
         status: dict[str, Any] = json.loads(self._run("status"))
         return status
@@ -163,7 +174,7 @@ def test_thousands_of_encounters_are_journaled_once_through_damage_noise_a_reset
             gateway.kill_and_start_again()
             gateway.wait_until(lambda: len(gateway.encounters()) >= len(meetings), what="all encounters")
             gateway.wait_until(lambda: all(record.is_reciprocal for record in gateway.encounters()), what="both sides of each")
-            stages = gateway.command(5, "start")
+            stages = gateway.command_once_admitted(5, "start")
             assert [stage["stage"] for stage in stages] == ["accepted", "radio_confirmed", "biobot_confirmed"], stages
             assert stages[-1]["mode"] == "CRW"
             gateway.wait_until(lambda: _last_mode(gateway, 5) == "CRW", what="the mode's record")

@@ -113,10 +113,12 @@ class Site:
         command_id: str | None = None,
         pulse: PulseRequest | None = None,
         commander: str = "",
+        hold_ms: int = 0,
     ) -> list[CommandStage]:
         """Give a command and return its stages."""
         stages: list[CommandStage] = []
-        await self.gate.handle(a_command(node, action, command_id=command_id, pulse=pulse, commander=commander), stages.append)
+        request = a_command(node, action, command_id=command_id, pulse=pulse, commander=commander, hold_ms=hold_ms)
+        await self.gate.handle(request, stages.append)
         return stages
 
 

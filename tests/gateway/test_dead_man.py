@@ -137,6 +137,23 @@ def test_a_commander_that_goes_while_its_command_is_taken_moves_nobody() -> None
     asyncio.run(story())
 
 
+def test_whom_a_takeover_never_reached_is_stopped_where_its_commander_is_gone_meanwhile() -> None:
+    async def story() -> None:
+        async with running() as watch:
+            watch.commanders.came("ann")
+            watch.commanders.came("bob")
+            watch.move(1)
+            request = a_command(50, StimulationAction.START, node=1, commander="bob")
+            watch.dead_man.hear(request, a_stage(request, Stage.ACCEPTED))
+            watch.commanders.went("ann")
+            assert watch.gate.nodes() == []
+            watch.dead_man.hear(request, a_stage(request, Stage.FAILED))
+            await until(lambda: not watch.dead_man.controlled(), what="it is stopped")
+            assert watch.gate.nodes() == [1]
+
+    asyncio.run(story())
+
+
 def test_who_was_moved_before_a_restart_is_stopped_as_soon_as_it_can_be_reached() -> None:
     async def story() -> None:
         watch = a_watch()

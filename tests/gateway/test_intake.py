@@ -12,7 +12,18 @@ import pytest
 
 from firmware_protocol.contract.records import Cause, Mode, NodeStatus
 from firmware_protocol.message_codec import encode_uplink
-from firmware_protocol.messages import EncounterBatch, EncounterEntry, Hello, Status, Uplink, UplinkHeader, WireCause, WireMode
+from firmware_protocol.messages import (
+    EncounterBatch,
+    EncounterEntry,
+    Hello,
+    Status,
+    StimulateReply,
+    StimulationResult,
+    Uplink,
+    UplinkHeader,
+    WireCause,
+    WireMode,
+)
 from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.clocks import ClockBook
 from gateway.config import EncounterTable
@@ -39,6 +50,8 @@ class _Desk:
     health: Health
     committed: list[int] = field(default_factory=list)
     statuses: list[NodeStatus] = field(default_factory=list)
+    answers: list[tuple[str, int]] = field(default_factory=list)
+    """Of stimulation: when they were told of, and the command's number."""
 
     def take(
         self, message: Uplink, *, sequence: int, boot: int = 1, sent_ms: int = 1000, radio: str = "r", source: int = 0x1007, late_s: int = 0
@@ -77,7 +90,8 @@ def _with_desk(path: Path, story: Callable[[_Desk], Awaitable[None]]) -> None:
                 on_committed=desk.committed.append,
                 on_status=desk.statuses.append,
                 on_neighbours=lambda _: None,
-                on_reply=lambda _node, _reply: None,
+                on_reply=lambda _node, reply: desk.answers.append(("on disk", reply.command)),
+                on_answer=lambda _node, reply: desk.answers.append(("at once", reply.command)),
                 on_duplicate=lambda _node, _before, _after: None,
                 on_diagnostic=lambda _node, _diagnostic: None,
                 on_configuration=lambda _node, _report: None,
@@ -156,6 +170,24 @@ def test_what_is_repeated_while_the_disk_waits_is_told_once_when_it_is_there(tmp
         await again
         await asyncio.sleep(0)
         assert desk.committed == [7, 7, 7]
+        running.cancel()
+
+    _with_desk(tmp_path / "j", story)
+
+
+def test_an_animal_s_answer_is_told_at_once_and_again_when_it_is_on_disk(tmp_path: Path) -> None:
+    async def story(desk: _Desk) -> None:
+        reply = StimulateReply(command=9, result=StimulationResult.DONE, executed_ms=Milliseconds(1), mode=WireMode.S)
+        done = desk.take(reply, sequence=0)
+        desk.take(reply, sequence=0)
+        await asyncio.sleep(0)
+        assert desk.answers == [("at once", 9)], "the disk takes nothing yet"
+        assert desk.committed == []
+        running = asyncio.ensure_future(desk.journal.run())
+        assert done is not None
+        await done
+        await asyncio.sleep(0)
+        assert desk.answers == [("at once", 9), ("on disk", 9)]
         running.cancel()
 
     _with_desk(tmp_path / "j", story)

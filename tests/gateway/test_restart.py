@@ -107,6 +107,7 @@ def _nobody() -> IntakeListeners:
         on_status=lambda _: None,
         on_neighbours=lambda _: None,
         on_reply=lambda _node, _reply: None,
+        on_answer=lambda _node, _reply: None,
         on_duplicate=lambda _node, _before, _after: None,
         on_diagnostic=lambda _node, _diagnostic: None,
         on_configuration=lambda _node, _report: None,

@@ -20,7 +20,7 @@ def test_a_script_is_actions_and_pauses() -> None:
 
 @pytest.mark.parametrize("text", ["", ";", "jump", "left -1", "left nan", "left 2 3", "left two", "start inf"])
 def test_what_is_no_script_is_refused_with_the_step_and_what_is_wanted(text: str) -> None:
-    with pytest.raises(ConfigurationError, match="'left 2; start 5; stop'"):
+    with pytest.raises(ConfigurationError, match="'left 4; start 5; stop'"):
         parse_script(text)
 
 

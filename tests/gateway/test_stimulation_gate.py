@@ -9,10 +9,10 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, Stage, StimulationAction
+from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.records import Mode
-from firmware_protocol.messages import Action, Capability, Hello, StimulationResult
-from firmware_protocol.units import BootId, Nanoseconds, NodeId, ShortAddress
+from firmware_protocol.messages import Action, Capability, Hello, StimulateReply, StimulationResult, WireMode
+from firmware_protocol.units import EVERYBODY, BootId, Milliseconds, Nanoseconds, NodeId, ShortAddress
 from gateway.config import StimulationTable
 from gateway.journal_file import JournalReader, JournalWrite
 from gateway.nodes import NodeMemory
@@ -21,6 +21,7 @@ from tests.gateway.fake_air import PATIENT, QUICK, Frame, Site, a_command, a_sit
 from tests.gateway.fake_radio import until
 
 _STOP, _START, _LEFT = StimulationAction.STOP, StimulationAction.START, StimulationAction.TURN_LEFT
+_NO_TRAIN = PulseRequest(duration_ms=0)
 
 
 def _run(
@@ -372,6 +373,110 @@ def test_a_stop_with_the_id_of_another_command_stops_all_the_same(tmp_path: Path
     _run(tmp_path / "j", story=story)
 
 
+def test_what_was_issued_before_a_stop_moves_nobody_after_it_over_a_restart_too(tmp_path: Path) -> None:
+    older = [a_command(node, _START) for node in (5, 5, 6, 6)]
+
+    async def stop(site: Site) -> None:
+        for action, node, late in ((_STOP, 5, older[0]), (StimulationAction.STOP_ALL, EVERYBODY, older[2])):
+            await site.stages(node, action, pulse=_NO_TRAIN)
+            refused = await _told_of(site, late)
+            assert refused.refusal is Refusal.OVERTAKEN
+            assert "before a stop of this biobot" in refused.reason
+        assert {frame.message.action.name for frame in site.air.frames} == {"STOP"}
+
+    async def wait(site: Site) -> None:
+        for late in (older[1], older[3]):
+            assert (await _told_of(site, late)).refusal is Refusal.OVERTAKEN
+        assert site.air.frames == []
+        assert (await site.stages(5, _START, pulse=_NO_TRAIN))[-1].stage is Stage.BIOBOT_CONFIRMED, "what is issued now moves"
+
+    _run(tmp_path / "j", 5, 6, story=stop)
+    _run(tmp_path / "j", 5, 6, story=wait)
+
+
+def test_what_came_in_before_a_stop_moves_nobody_after_it_whatever_its_clock_says(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        came_ns = time.monotonic_ns()
+        await site.stages(5, _STOP, pulse=_NO_TRAIN)
+        heard: list[CommandStage] = []
+        await site.gate.handle(a_command(5, _START), heard.append, came_ns=came_ns)
+        assert heard[-1].refusal is Refusal.OVERTAKEN
+        ahead = replace(a_command(6, _STOP), issued_wall_ns=Nanoseconds(time.time_ns() + 3_600 * 10**9))
+        await site.gate.handle(replace(ahead, pulse=_NO_TRAIN), heard.append)
+        assert _told(await site.stages(6, _START))[-1] is Stage.BIOBOT_CONFIRMED, "a stop of a clock that is ahead is of now"
+
+    _run(tmp_path / "j", 5, 6, story=story)
+
+
+def test_a_stop_that_is_given_anew_under_its_id_stops_whoever_was_moved_since(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        for _ in range(2):
+            assert _told(await site.stages(5, _STOP, command_id="panic", pulse=_NO_TRAIN))[-1] is Stage.BIOBOT_CONFIRMED
+        assert len(site.air.frames) == 1, "nobody was moved since: it is answered"
+        await site.stages(5, _START)
+        again = a_command(5, _STOP, command_id="panic", pulse=_NO_TRAIN)
+        assert (await _told_of(site, again)).stage is Stage.BIOBOT_CONFIRMED
+        assert [frame.message.action.name for frame in site.air.frames] == ["STOP", "START", "STOP"]
+
+    _run(tmp_path / "j", story=story)
+
+
+def test_whom_nobody_looks_after_any_more_is_not_moved_by_what_waited_for_the_disk(tmp_path: Path) -> None:
+    async def story() -> None:
+        there = {"anna"}
+        async with a_site(tmp_path / "j", 5, 6, is_commander_there=there.__contains__) as site:
+            waiting = asyncio.ensure_future(site.stages(5, _START, commander="anna"))
+            await asyncio.sleep(0)
+            there.clear()
+            assert (await waiting)[-1].refusal is Refusal.NO_COMMANDER
+            waiting = asyncio.ensure_future(site.stages(6, _START))
+            await asyncio.sleep(0)
+            site.gate.begin_stopping()
+            assert (await waiting)[-1].refusal is Refusal.STOPPING
+            assert site.air.frames == []
+
+    asyncio.run(story())
+
+
+def test_a_stop_ends_with_an_answer_that_is_not_on_disk_and_a_start_does_not(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        site.air.answers = lambda _node, _n: False
+        running = {action: asyncio.ensure_future(site.stages(node, action)) for node, action in ((5, _STOP), (6, _START))}
+        await until(lambda: len({frame.node for frame in site.air.frames}) == 2, what="both are sent")
+        for node in (5, 6):
+            reply = StimulateReply(
+                command=site.air.sent_to(node)[0].command, result=StimulationResult.DONE, executed_ms=Milliseconds(1), mode=WireMode.S
+            )
+            site.gate.on_answer(NodeId(node), reply)
+        assert _told(await running[_STOP])[-1] is Stage.BIOBOT_CONFIRMED
+        assert not running[_START].done()
+        site.air.reply(6, site.air.sent_to(6)[0])
+        assert _told(await running[_START])[-1] is Stage.BIOBOT_CONFIRMED
+
+    _run(tmp_path / "j", 5, 6, story=story)
+
+
+def test_a_stop_once_more_that_newer_stops_replace_is_under_way_no_more(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        site.air.answers = lambda _node, _n: False
+        site.air.fate = Fate.UNKNOWN
+        moving = asyncio.ensure_future(site.stages(5, _START, pulse=_NO_TRAIN))
+        await until(lambda: bool(site.air.frames), what="it is on its way")
+        stops = [asyncio.ensure_future(site.stages(5, _STOP, pulse=_NO_TRAIN))]
+        await until(lambda: any(".again-" in one.key for one in site.gate._book.running()), what="it can come no more")
+        stops += [asyncio.ensure_future(site.stages(5, _STOP, pulse=_NO_TRAIN)) for _ in range(12)]
+        await asyncio.gather(moving, *stops)
+        await until(lambda: not site.gate._book.running(), what="nothing is under way")
+
+    _run(tmp_path / "j", story=story, config=StimulationTable(stop_retry_s=0.1, stop_attempts=3, reply_timeout_s=0.2, flight_s=0.1))
+
+
+async def _told_of(site: Site, request: StimulationRequest) -> CommandStage:
+    heard: list[CommandStage] = []
+    await site.gate.handle(request, heard.append)
+    return heard[-1]
+
+
 def test_whether_a_biobot_obeys_is_seen_by_the_mode_that_it_reports(tmp_path: Path) -> None:
     async def story() -> None:
         now_ns = time.monotonic_ns()
@@ -384,6 +489,25 @@ def test_whether_a_biobot_obeys_is_seen_by_the_mode_that_it_reports(tmp_path: Pa
                 account = site.gate.account_of(NodeId(5))
                 assert account is not None
                 assert (account.n_answerable, account.n_obeyed) == (answerable, obeyed)
+
+    asyncio.run(story())
+
+
+def test_a_start_that_a_stop_or_its_hold_cut_short_was_not_disobeyed(tmp_path: Path) -> None:
+    async def story() -> None:
+        now_ns = time.monotonic_ns()
+        ahead_ns = [0]
+        async with a_site(tmp_path / "j", 5, now_ns=lambda: now_ns + ahead_ns[0]) as site:
+            for hold_ms, stop, after_s, answerable in ((0, StimulationAction.STOP_ALL, 1, 0), (2_000, None, 2.1, 0), (2_000, None, 1, 1)):
+                ahead_ns[0] += 60 * 10**9
+                assert _told(await site.stages(5, _START, hold_ms=hold_ms))[-1] is Stage.BIOBOT_CONFIRMED
+                ahead_ns[0] += int(after_s * 1e9)
+                if stop is not None:
+                    await site.stages(EVERYBODY, stop)
+                site.gate.on_mode(NodeId(5), Mode.S)
+                account = site.gate.account_of(NodeId(5))
+                assert account is not None
+                assert (account.n_answerable, account.n_obeyed) == (answerable, 0)
 
     asyncio.run(story())
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.contract.commands import CommandStage, Refusal, Stage, StimulationAction
-from firmware_protocol.messages import Action
+from firmware_protocol.messages import Action, StimulationResult
 from firmware_protocol.units import EVERYBODY, NodeId
 from gateway.journal_file import JournalWrite
 from gateway.radio import Fate
@@ -73,6 +73,41 @@ def test_who_does_not_confirm_is_named(tmp_path: Path) -> None:
             assert len([frame for frame in site.air.frames if frame.node is None]) == 3
             ends = [stage.node for stage in parts if stage.is_final]
             assert len(ends) == len(set(ends)) == 20, "each has one end"
+
+    asyncio.run(story())
+
+
+def test_who_is_unwilling_or_left_to_newer_stops_has_not_confirmed(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", 5, 6, config=QUICK) as site:
+            site.air.answers = lambda node, _n: node == 6
+            stopping = asyncio.ensure_future(_heard(site))
+            await until(lambda: bool(site.air.sent_to(5)), what="it is sent to")
+            newer = [asyncio.ensure_future(site.stages(5, StimulationAction.STOP)) for _ in range(9)]
+            stages, _ = await stopping
+            assert stages[-1].stage is Stage.UNKNOWN
+            assert "1 of 2 biobots within reach did not confirm: 5" in stages[-1].reason
+            await asyncio.gather(*newer)
+            site.air.answers = lambda _node, _n: True
+            site.air.result = StimulationResult.REFUSED_LIMIT
+            stages, _ = await _heard(site, command_id="more")
+            assert stages[-1].stage is Stage.UNKNOWN
+            assert "2 of 2" in stages[-1].reason
+
+    asyncio.run(story())
+
+
+def test_of_many_the_newest_alone_goes_on_from_biobot_to_biobot(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", *range(1, 41), config=QUICK) as site:
+            first = asyncio.ensure_future(site.stages(EVERYBODY, _ALL))
+            await until(lambda: bool(site.air.sent_to(1)), what="the first is under way")
+            ends = await asyncio.gather(first, *(site.stages(EVERYBODY, _ALL) for _ in range(50)))
+            assert ends[-1][-1].stage is Stage.BIOBOT_CONFIRMED
+            assert all(stages[-1].stage is Stage.UNKNOWN and "a newer stop of all" in stages[-1].reason for stages in ends[:-1])
+            assert len([frame for frame in site.air.frames if frame.node is None]) == 51, "each has told everybody"
+            assert len([frame for frame in site.air.frames if frame.node is not None]) <= 8 + 40
+            assert not site.gate._book.running()
 
     asyncio.run(story())
 
