@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from firmware_protocol.contract.mission_orders import MissionAction
 from firmware_protocol.contract.records import MissionPhase, encode_record
 from firmware_protocol.landmarks import choose_landmarks
-from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
+from firmware_protocol.units import NS_PER_S, BootId, Nanoseconds, NodeId
 from gateway.config import MissionTable
 from gateway.issuer import RecordIssuer
 from gateway.mission import MissionPlanner
@@ -448,7 +448,9 @@ def test_without_the_option_nobody_follows_walls_and_nothing_is_written_of_it() 
     for _ in range(50):
         swarm.tick(after_s=50)
     assert (swarm.walls, len(swarm.written)) == ([], n_written)
-    record = record_phase(swarm.state, issuer=RecordIssuer(gateway="g", journal="j", boot=1, wall_anchor_ns=Nanoseconds(0)), now_ns=1)
+    record = record_phase(
+        swarm.state, issuer=RecordIssuer(gateway="g", journal="j", boot=BootId(1), wall_anchor_ns=Nanoseconds(0)), now_ns=1
+    )
     assert b"walls" not in encode_record(record)
 
 
