@@ -239,7 +239,7 @@ DOWNLINK_LAYOUTS = (
         section="6.5",
         fields=(
             Field(name="command", code="I"),
-            Field(name="action", code="B", limits=(1, 4)),
+            Field(name="action", code="B", limits=(1, 5)),
             Field(name="ttl_ms", code="H", unit="ms"),
             Field(name="hold_ms", code="I", unit="ms"),
             Field(name="frequency_hz", code="B", unit="Hz"),

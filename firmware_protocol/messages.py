@@ -69,6 +69,8 @@ class Action(IntEnum):
     STOP = 2
     TURN_LEFT = 3
     TURN_RIGHT = 4
+    FOLLOW_WALLS = 5
+    """Only for backpacks with ``Capability.FOLLOW_WALLS``."""
 
 
 class StimulationResult(IntEnum):
@@ -90,6 +92,8 @@ class Capability(IntFlag):
     CONFIGURE = 4
     ELECTRODE_CHECK = 8
     """It measures its electrodes before a train, and refuses where they are loose."""
+    FOLLOW_WALLS = 16
+    """It can have its insect keep to walls."""
 
 
 class Waveform(IntEnum):

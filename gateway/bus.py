@@ -91,7 +91,14 @@ class Bus:
         if report.problems or problems:
             raise BusError("; ".join((*report.problems, *problems)))
         access = None if config.roster is None else access_control(members)
-        session = ServiceSession(listen=config.listen, connect=config.connect, tls=config.tls, timing=config.zenoh, access=access)
+        session = ServiceSession(
+            listen=config.listen,
+            connect=config.connect,
+            tls=config.tls,
+            timing=config.zenoh,
+            access=access,
+            echo=build_key(site=config.site, stream=Stream.ECHO, gateway=config.name),
+        )
         if config.connect and _is_taken(session, build_key(site=config.site, stream=Stream.ALIVE, gateway=config.name)):
             session.close()
             raise BusError(f"a gateway named {config.name!r} is alive at site {config.site!r} already; give this one another --name")

@@ -1,18 +1,22 @@
 """The Zenoh session of a service, which may not be there yet, and what stands declared on it once it is.
 
 A service that only connects, to one router, is a *client* of Zenoh: a router that stood still for longer than the lease finds the end of
-a link and the new link at one moment, and forgets for good what another *router* has declared (eclipse-zenoh 1.10, ADR 0016); of a client
-it forgets nothing. A client's session opens only when somebody is there, so it is opened in the background, again and again. A service
-that listens, or connects to several, is a router of Zenoh, whose session opens at once.
+a link and the new link at one moment, and may forget for good what another *router* has declared, or leave a *client* deaf or mute
+(eclipse-zenoh 1.10.2, ADR 0028). A client's session can be closed and opened anew, which heals that. It opens only when somebody is
+there, so it is opened in the background, again and again. A service that listens, or connects to several, is a router of Zenoh, whose
+session opens at once, and stays.
 """
 
+import contextlib
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Final, TypeAlias
 
 import zenoh
 
 from firmware_protocol.contract.sessions import CLIENT, TlsTable, ZenohTable, mode_of_service
+from gateway.bus_echo import answer_echo, is_heard
 from gateway.bus_session import open_service, try_client
 from gateway.log import EventLog
 
@@ -23,11 +27,24 @@ Declared: TypeAlias = zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.Liv
 _PAUSE_S: Final = 0.1
 """Between two attempts to open a client's session; each of them lasts for as long as a connection may take."""
 
-_JOIN_S: Final = 5.0
+_JOIN_S: Final = 1.0
+
+_LOOKS_S: Final = (2.0, 4.0, 14.0)
+"""Pauses after a new link, and after each look, before it is looked whether the session is heard."""
+
+_LOOK_EVERY_S: Final = 60.0
+_AGAIN_S: Final = 1.0
+_MOST_UNHEARD: Final = 3
+"""So many looks in a row: a busy machine answers late."""
 
 
 class ServiceSession:
     """See the module. What others do with the session, they do by ``when_open``.
+
+    Parameters
+    ----------
+    echo
+        A key of one's own, under which a client looks whether it is heard; None: it does not look.
 
     Raises
     ------
@@ -43,14 +60,16 @@ class ServiceSession:
         tls: TlsTable,
         timing: ZenohTable | None = None,
         access: Mapping[str, object] | None = None,
+        echo: str | None = None,
     ) -> None:
         self._lock = threading.RLock()
-        self._is_open, self._closing = threading.Event(), threading.Event()
-        self._todo: list[Callable[[zenoh.Session], None]] = []
+        self._is_open, self._closing, self._has_link = threading.Event(), threading.Event(), threading.Event()
+        self._hooks: list[Callable[[zenoh.Session], None]] = []
         self._session: zenoh.Session | None = None
         self._thread: threading.Thread | None = None
+        self._probe = partial(try_client, connect=tuple(connect), tls=tls, timing=timing)
         if mode_of_service(listen=listen, connect=connect) == CLIENT:
-            self._thread = threading.Thread(target=self._join, args=(tuple(connect), tls, timing), name="joining", daemon=True)
+            self._thread = threading.Thread(target=self._join, args=(echo,), name="joining", daemon=True)
             self._thread.start()
         else:
             self._came(open_service(listen=listen, connect=connect, tls=tls, timing=timing, access=access))
@@ -66,11 +85,10 @@ class ServiceSession:
         return 0 if session is None else len(session.info.transports())
 
     def when_open(self, do: Callable[[zenoh.Session], None]) -> None:
-        """Have something done with the session: now, or on a thread of its own once it is open."""
+        """Have something done with each session, in the order of these calls: now with the one that is open, and with those to come."""
         with self._lock:
-            if self._session is None:
-                self._todo.append(do)
-            else:
+            self._hooks.append(do)
+            if self._session is not None:
                 do(self._session)
 
     def wait_open(self, timeout_s: float) -> bool:
@@ -80,68 +98,105 @@ class ServiceSession:
     def close(self) -> None:
         """Close the session, and open none any more."""
         self._closing.set()
+        self._has_link.set()
         if self._thread is not None:
-            self._thread.join(timeout=_JOIN_S)
-        with self._lock:
-            session, self._session = self._session, None
-            if session is not None:
-                session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+            self._thread.join(timeout=_JOIN_S)  # longer where it is trying to connect: it closes what it gets then
+        self._leave()
 
-    def _join(self, connect: tuple[str, ...], tls: TlsTable, timing: ZenohTable | None) -> None:
+    def _join(self, echo: str | None) -> None:
         while not self._closing.is_set():
-            session = try_client(connect=connect, tls=tls, timing=timing)
-            if session is not None:
-                if self._closing.is_set():
-                    session.close()  # type: ignore[no-untyped-call]  # same
-                else:
-                    self._came(session)
+            session = self._probe()
+            if session is None:
+                self._closing.wait(_PAUSE_S)
+                continue
+            if self._closing.is_set():
+                session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
                 return
-            self._closing.wait(_PAUSE_S)
+            self._came(session)
+            if echo is None:
+                return
+            self._keep(session, echo)
+            if not self._closing.is_set():
+                self._leave()
 
     def _came(self, session: zenoh.Session) -> None:
         with self._lock:
             self._session = session
-            for do in self._todo:
+            for do in self._hooks:
                 try:
                     do(session)
-                except zenoh.ZError as error:
+                except (zenoh.ZError, RuntimeError) as error:  # RuntimeError: the event loop is closed already
                     _log.error("bus.undeclared", reason=str(error))
-            self._todo.clear()
         self._is_open.set()
+
+    def _leave(self) -> None:
+        with self._lock:
+            session, self._session = self._session, None
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]  # same
+
+    def _keep(self, session: zenoh.Session, key: str) -> None:
+        """Look now and then, and after each new link, whether the session is heard; returns when it is not, or when this is closed."""
+        held = answer_echo(session, key)
+        held.append(session.info.declare_link_events_listener(self._on_link))
+        looks_s, n_unheard = list(_LOOKS_S), 0
+        while not self._closing.is_set():
+            if self._has_link.wait(looks_s.pop(0) if looks_s else _LOOK_EVERY_S):
+                self._has_link.clear()
+                looks_s = list(_LOOKS_S)
+                continue
+            heard = is_heard(key, open_session=self._probe)
+            n_unheard = n_unheard + 1 if heard is False else 0
+            if n_unheard >= _MOST_UNHEARD:
+                _log.warning("bus.unheard", reason="it is connected, and the router does not hear it; it is joined anew")
+                return
+            if n_unheard:
+                looks_s.insert(0, _AGAIN_S)
+
+    def _on_link(self, event: zenoh.LinkEvent) -> None:
+        """Runs on a thread of Zenoh."""
+        if event.kind == zenoh.SampleKind.PUT:
+            self._has_link.set()
 
 
 class StandingDeclarations:
-    """What is declared by name: on the session, or once there is one."""
+    """What is declared by name: on the session that is open, and on those to come."""
 
     def __init__(self, session: ServiceSession) -> None:
         self._session = session
-        self._lock = threading.Lock()
-        self._names: dict[str, Declared | None] = {}
+        self._lock = threading.RLock()
+        self._makers: dict[str, Callable[[zenoh.Session], Declared]] = {}
+        self._made: dict[str, Declared] = {}
+        self._made_on: zenoh.Session | None = None
+        session.when_open(self._declare_all)
 
     def declare(self, name: str, make: Callable[[zenoh.Session], Declared]) -> None:
         """Declare what ``make`` makes, under a name that is free; raises ``ZError`` where Zenoh does not take it."""
         with self._lock:
-            self._names[name] = None
-
-        def declare_now(session: zenoh.Session) -> None:
-            with self._lock:
-                if name in self._names:  # it may have been taken back before there was a session
-                    self._names[name] = make(session)
-
-        self._session.when_open(declare_now)
+            self._makers[name] = make
+            if self._made_on is not None and self._made_on is self._session.current:  # else it is made with all the others
+                self._made[name] = make(self._made_on)
 
     def undeclare(self, name: str) -> None:
         """Take back what was declared under a name, if it was."""
         with self._lock:
-            made = self._names.pop(name, None)
-            if made is not None:
+            self._makers.pop(name, None)
+            made = self._made.pop(name, None)
+        if made is not None:
+            with contextlib.suppress(zenoh.ZError):  # of a session that was closed meanwhile
                 made.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
 
     def is_declared(self, name: str) -> bool:
         """Whether something stands under a name, or will."""
-        return name in self._names
+        return name in self._makers
 
     def close(self) -> None:
         """Take all of it back, the newest first."""
-        for name in reversed(list(self._names)):
+        for name in reversed(list(self._makers)):
             self.undeclare(name)
+
+    def _declare_all(self, session: zenoh.Session) -> None:
+        with self._lock:
+            self._made, self._made_on = {}, session
+            for name, make in self._makers.items():
+                self._made[name] = make(session)

@@ -182,6 +182,10 @@ class MissionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         A landmark that was not heard for so long is replaced.
     contradiction_gap_s
         Two landmarks that begin to meet although they stand, and had not met for so long, contradict each other: one has moved.
+    wall_following_every_s
+        Each time an exploration has run for so much longer, the walking biobots whose backpacks can are told to follow walls; 0: never.
+    wall_following_s
+        How long they do; then they are told to walk as before.
     """
 
     is_enabled: bool = False
@@ -196,6 +200,8 @@ class MissionTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     min_battery_mv: Annotated[int, msgspec.Meta(ge=0, le=20_000)] = 0
     landmark_silence_s: _Seconds = 180.0
     contradiction_gap_s: _Seconds = 300.0
+    wall_following_every_s: Annotated[float, msgspec.Meta(ge=0, le=604_800)] = 0.0
+    wall_following_s: _Seconds = 60.0
 
 
 class RecordingTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

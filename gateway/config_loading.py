@@ -73,6 +73,7 @@ def load_gateway_config(
         yield from _monitor_problems(config)
         yield from _pulse_problems(config.stimulation)
         yield from _threshold_problems(config)
+        yield from _wall_problems(config)
 
     return load_configuration(
         GatewayConfig,
@@ -183,6 +184,14 @@ def _threshold_problems(config: GatewayConfig) -> Iterator[Unfit]:
     if enter is not None and leave is not None and leave > enter:
         limit = f"it must not be above backpacks.rssi_enter_dbm = {enter}, or encounters would end as they begin"
         yield Unfit(keys=("backpacks.rssi_exit_dbm", "backpacks.rssi_enter_dbm"), reason=f"backpacks.rssi_exit_dbm is {leave}, but {limit}")
+
+
+def _wall_problems(config: GatewayConfig) -> Iterator[Unfit]:
+    every_s, length_s = config.mission.wall_following_every_s, config.mission.wall_following_s
+    if every_s and length_s >= every_s:
+        limit = f"it must be less than mission.wall_following_every_s = {every_s:g}, or walls would be followed for ever"
+        keys = ("mission.wall_following_s", "mission.wall_following_every_s")
+        yield Unfit(keys=keys, reason=f"mission.wall_following_s is {length_s:g}, but {limit}")
 
 
 def _why_no_file(path: Path) -> str:

@@ -1,8 +1,8 @@
 """Which biobots are under controlled motion, by whom, and until when: pure.
 
-Controlled motion begins with an accepted start or turn that has a hold or a commander. It ends when the biobot confirms a stop that was
-given after it, when a start without either is accepted, or when it turns out that the command that began it never reached the biobot. A
-stop that nobody confirmed ends nothing: that biobot may still be moving.
+Controlled motion begins with an accepted start or turn that has a hold or a commander; to follow walls is a start. It ends when
+the biobot confirms a stop that was given after it, when a start without either is accepted, or when it turns out that the command that
+began it never reached the biobot. A stop that nobody confirmed ends nothing: that biobot may still be moving.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,8 @@ from types import MappingProxyType
 from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.units import NS_PER_MS, NodeId
 
-_MOTIONS = {StimulationAction.START, StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT}
+_TURNS = {StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT}
+_MOTIONS = {StimulationAction.START, StimulationAction.FOLLOW_WALLS, *_TURNS}
 _STOPS = {StimulationAction.STOP, StimulationAction.STOP_ALL}
 
 
@@ -102,7 +103,7 @@ class ControlBook:
     def _begin(self, request: StimulationRequest, *, now_ns: int) -> Takeover | None:
         before = self._controls.get(request.node)
         is_controlled = bool(request.hold_ms or request.commander)
-        if not is_controlled and request.action is not StimulationAction.START:
+        if not is_controlled and request.action in _TURNS:
             return None  # a turn alone is over by itself, and takes no control from anybody
         after = None
         if is_controlled:

@@ -204,6 +204,7 @@ class Service:
             health=health,
             note=audit.note,
             on_event=partial(self._publish_event, bus),
+            controlled=commanding.dead_man.controlled,
         )
         gate.listen(mission.on_stage)
         journal.listen(mission.take_records)

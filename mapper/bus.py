@@ -76,6 +76,7 @@ class Bus:
         listen: tuple[str, ...],
         tls: TlsTable | None = None,
         timing: ZenohTable | None = None,
+        name: str | None = None,
     ) -> Self:
         """Join the bus; gateways and routers that are not there yet are connected to when they come.
 
@@ -85,11 +86,12 @@ class Bus:
             An endpoint cannot be understood, or cannot be listened on.
         """
         bus = cls(site=site, loop=asyncio.get_running_loop())
+        echo = None if name is None else build_key(site=site, stream=Stream.ECHO, gateway=name)
         for reason in filter(None, (endpoint_problem(endpoint, listens=False) for endpoint in connect)):
             raise BusError(reason=reason, next_step="give endpoints such as tcp/127.0.0.1:7447")
         try:
             bus._session = await asyncio.to_thread(
-                partial(StandingSession, connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing)
+                partial(StandingSession, connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing, echo=echo)
             )
             await asyncio.to_thread(bus._declare)
         except zenoh.ZError as error:

@@ -1,19 +1,22 @@
 """The mapper's Zenoh session, which may not be there yet, and what stands declared on it once it is.
 
-A mapper that connects to one gateway or router is a *client* of Zenoh: what a *router* of Zenoh has declared may be forgotten by
-another one that stood still (ADR 0016). A client's session opens only when somebody is there, so it is opened in the background, again
-and again. One that listens, or connects to several, is a router, whose session opens at once.
+A mapper that connects to one gateway or router is a *client* of Zenoh: a router that stood still for some seconds may forget for good what
+another *router* has declared, or leave a *client* deaf or mute (ADR 0028). A client's session can be closed and opened anew, which heals
+that. It opens only when somebody is there, so it is opened in the background, again and again. One that listens, or connects to several,
+is a router, whose session opens at once, and stays.
 """
 
 import json
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final, TypeAlias
 
 import zenoh
 import zenoh.ext
 
 from firmware_protocol.contract.sessions import CLIENT, ROUTER, TlsTable, ZenohTable, mode_of_service, session_settings
+from mapper.bus_echo import answer_echo, is_heard
 from mapper.log import EventLog
 
 _log = EventLog(__name__)
@@ -24,11 +27,24 @@ OnSample: TypeAlias = Callable[[zenoh.Sample], None]
 _PAUSE_S: Final = 0.1
 """Between two attempts to open a client's session; each of them lasts for as long as a connection may take."""
 
-_JOIN_S: Final = 5.0
+_JOIN_S: Final = 1.0
+
+_LOOKS_S: Final = (2.0, 4.0, 14.0)
+"""Pauses after a new link, and after each look, before it is looked whether the session is heard."""
+
+_LOOK_EVERY_S: Final = 60.0
+_AGAIN_S: Final = 1.0
+_MOST_UNHEARD: Final = 3
+"""So many looks in a row: a busy machine answers late."""
 
 
 class StandingSession:
     """See the module. Its methods may be called from any thread, and wait for Zenoh.
+
+    Parameters
+    ----------
+    echo
+        A key of one's own, under which a client looks whether it is heard; None: it does not look.
 
     Raises
     ------
@@ -36,16 +52,18 @@ class StandingSession:
         An endpoint cannot be understood, or cannot be listened on.
     """
 
-    def __init__(self, *, connect: tuple[str, ...], listen: tuple[str, ...], tls: TlsTable, timing: ZenohTable | None) -> None:
+    def __init__(
+        self, *, connect: tuple[str, ...], listen: tuple[str, ...], tls: TlsTable, timing: ZenohTable | None, echo: str | None = None
+    ) -> None:
         self._connect, self._tls, self._timing = connect, tls, timing
         self._lock = threading.RLock()
-        self._closing = threading.Event()
+        self._closing, self._has_link = threading.Event(), threading.Event()
         self._session: zenoh.Session | None = None
         self._makers: dict[str, Callable[[zenoh.Session], Declared]] = {}
         self._made: dict[str, Declared] = {}
         self._thread: threading.Thread | None = None
         if mode_of_service(listen=listen, connect=connect) == CLIENT:
-            self._thread = threading.Thread(target=self._join, name="joining", daemon=True)
+            self._thread = threading.Thread(target=self._join, args=(echo,), name="joining", daemon=True)
             self._thread.start()
         else:
             self._session = self._open(ROUTER, listen=listen)
@@ -99,18 +117,17 @@ class StandingSession:
         with self._lock:
             self._makers.pop(name, None)
             made = self._made.pop(name, None)
-            if made is not None:
+        if made is not None:
+            with suppress(zenoh.ZError):  # of a session that was closed meanwhile
                 made.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
 
     def close(self) -> None:
         """Close the session, and open none any more."""
         self._closing.set()
+        self._has_link.set()
         if self._thread is not None:
-            self._thread.join(timeout=_JOIN_S)
-        with self._lock:
-            session, self._session = self._session, None
-            if session is not None:
-                session.close()  # type: ignore[no-untyped-call]  # same
+            self._thread.join(timeout=_JOIN_S)  # longer where it is trying to connect: it closes what it gets then
+        self._leave()
 
     def _open(self, mode: str, *, listen: tuple[str, ...] = ()) -> zenoh.Session:
         timeout_ms = (self._timing or ZenohTable()).open_timeout_ms if mode == CLIENT else -1
@@ -122,21 +139,62 @@ class StandingSession:
             config.insert_json5(name, json.dumps(value))
         return zenoh.open(config)
 
-    def _join(self) -> None:
+    def _probe(self) -> zenoh.Session | None:
+        try:
+            return self._open(CLIENT)
+        except zenoh.ZError:
+            return None  # why, `ConnectionWatch` says
+
+    def _join(self, echo: str | None) -> None:
         while not self._closing.is_set():
-            try:
-                session = self._open(CLIENT)
-            except zenoh.ZError:  # why, `ConnectionWatch` says
+            session = self._probe()
+            if session is None:
                 self._closing.wait(_PAUSE_S)
                 continue
             if self._closing.is_set():
-                session.close()  # type: ignore[no-untyped-call]  # same
+                session.close()  # type: ignore[no-untyped-call]  # the stub lacks its return type
                 return
-            with self._lock:
-                self._session = session
-                for name, make in self._makers.items():
-                    try:
-                        self._made[name] = make(session)
-                    except zenoh.ZError as error:
-                        _log.error("bus.undeclared", name=name, reason=str(error))
-            return
+            self._came(session)
+            if echo is None:
+                return
+            self._keep(session, echo)
+            if not self._closing.is_set():
+                self._leave()
+
+    def _came(self, session: zenoh.Session) -> None:
+        with self._lock:
+            self._session, self._made = session, {}
+            for name, make in self._makers.items():
+                try:
+                    self._made[name] = make(session)
+                except zenoh.ZError as error:
+                    _log.error("bus.undeclared", name=name, reason=str(error))
+
+    def _leave(self) -> None:
+        with self._lock:
+            session, self._session = self._session, None
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]  # same
+
+    def _keep(self, session: zenoh.Session, key: str) -> None:
+        """Look now and then, and after each new link, whether the session is heard; returns when it is not, or when this is closed."""
+        held = answer_echo(session, key)
+        held.append(session.info.declare_link_events_listener(self._on_link))
+        looks_s, n_unheard = list(_LOOKS_S), 0
+        while not self._closing.is_set():
+            if self._has_link.wait(looks_s.pop(0) if looks_s else _LOOK_EVERY_S):
+                self._has_link.clear()
+                looks_s = list(_LOOKS_S)
+                continue
+            heard = is_heard(key, open_session=self._probe)
+            n_unheard = n_unheard + 1 if heard is False else 0
+            if n_unheard >= _MOST_UNHEARD:
+                _log.warning("bus.unheard", reason="it is connected, and the router does not hear it; it is joined anew")
+                return
+            if n_unheard:
+                looks_s.insert(0, _AGAIN_S)
+
+    def _on_link(self, event: zenoh.LinkEvent) -> None:
+        """Runs on a thread of Zenoh."""
+        if event.kind == zenoh.SampleKind.PUT:
+            self._has_link.set()

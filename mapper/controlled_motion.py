@@ -8,7 +8,8 @@ from typing import Final
 from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
 
-_STARTERS: Final = frozenset({StimulationAction.START, StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT})
+_STARTS: Final = frozenset({StimulationAction.START, StimulationAction.FOLLOW_WALLS})
+_MOTIONS: Final = _STARTS | {StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT}
 # A hold begins when the biobot obeys: up to a time to live after the command, and as long as a frame may be on its way.
 _SLACK_NS: Final = 2 * NS_PER_S
 _MAX_OF_ONE_BIOBOT: Final = 16
@@ -22,7 +23,7 @@ class ControlledMotion:
 
     def begin(self, request: StimulationRequest, *, now_ns: int) -> None:
         """Note a command with a commander that is about to be sent."""
-        if request.action not in _STARTERS or not request.commander:
+        if request.action not in _MOTIONS or not request.commander:
             return
         holds = self._ends_ns.setdefault(request.node, {})
         holds[request.command_id] = now_ns + (request.ttl_ms + request.hold_ms) * NS_PER_MS + _SLACK_NS
@@ -46,7 +47,7 @@ class ControlledMotion:
                 self.forget(node=stage.node, command_id=stage.command_id)
             case Stage.BIOBOT_CONFIRMED if stage.action is StimulationAction.STOP:
                 del self._ends_ns[stage.node]
-            case Stage.ACCEPTED if stage.action is StimulationAction.START and stage.command_id not in holds:
+            case Stage.ACCEPTED if stage.action in _STARTS and stage.command_id not in holds:
                 del self._ends_ns[stage.node]
             case Stage.BIOBOT_CONFIRMED if stage.command_id in holds:
                 self._ends_ns[stage.node] = {stage.command_id: holds[stage.command_id]}

@@ -134,7 +134,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         stack.push_async_callback(records.aclose)
         certified = None if facts is None else parse_identity(facts.common_name).name
         name = serve.name or certified or records.name or f"mapper-{secrets.token_hex(4)}"
-        bus = await Bus.open(site=serve.site, connect=serve.connect, listen=serve.listen, tls=config.tls, timing=config.zenoh)
+        bus = await Bus.open(site=serve.site, connect=serve.connect, listen=serve.listen, tls=config.tls, timing=config.zenoh, name=name)
         stack.push_async_callback(bus.aclose)
         watch = ConnectionWatch(is_connected=lambda: bus.is_connected, connect=serve.connect, tls=config.tls, facts=facts)
         changes, fleet = Changes(), Fleet()

@@ -37,6 +37,9 @@ class Habitat(Protocol):
     def start(self, biobot_id: int, /, *, cause: Cause) -> bool:
         """Let a biobot walk from now on."""
 
+    def follow_walls(self, biobot_id: int, /, *, cause: Cause) -> bool:
+        """Let a biobot walk from now on, and keep to walls until a start or a stop."""
+
     def turn(self, biobot_id: int, angle_rad: float, /) -> bool:
         """Turn a biobot at once, to the left where the angle is positive; a naturally resting one walks on."""
 

@@ -1,12 +1,33 @@
 """From the parameters of motion to those of the engine: units, defaults and what is switched off."""
 
 import math
+from dataclasses import replace
 
 from simulator.config import Ranges
 from simulator.engine.binding import EngineConfig
 from simulator.motion import MotionParameters, WallLaw
 
 _LAWS = (WallLaw.UNIFORM, WallLaw.COSINE, WallLaw.MIRROR, WallLaw.FOLLOW)
+
+
+# Of those who follow walls by command alone: the larvae of [Jea03], as in the preset jeanson-larva.
+_EXIT_HAZARD_PER_S = 0.12
+_DEPARTURE_LOG_SD = math.log(2.14)
+
+
+def motion_under_command(motion: MotionParameters) -> MotionParameters:
+    """Complete the motion of insects that may be told to follow walls; without such a command nothing of it comes to bear.
+
+    What is not given of walls is [Jea03]'s, but for stops: insects stop at walls as in the open.
+    """
+    if motion.wall_law is WallLaw.FOLLOW:
+        return motion
+    return replace(
+        motion,
+        exit_hazard=motion.exit_hazard or _EXIT_HAZARD_PER_S,
+        departure_log_sd=motion.departure_log_sd or _DEPARTURE_LOG_SD,
+        wall_stop_hazard=motion.wall_stop_hazard or motion.stop_hazard,
+    )
 
 
 def engine_config(motion: MotionParameters, ranges: Ranges, *, seed: int, period: float) -> EngineConfig:

@@ -126,6 +126,10 @@ class RecordedWorld:
         """Change nothing: the past stays as it was."""
         return self._refuse(biobot_id, cause)
 
+    def follow_walls(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
+        """Change nothing: the past stays as it was."""
+        return self._refuse(biobot_id, cause)
+
     def turn(self, biobot_id: int, angle_rad: float) -> bool:  # noqa: ARG002  # of a Habitat
         """Change nothing: the past stays as it was."""
         return self._refuse(biobot_id, Cause.COMMAND)

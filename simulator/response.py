@@ -139,7 +139,7 @@ class Responder:
         if self._draw(biobot, _RESPONDS_STREAM, index) >= probability:
             return Response(has_responded=False, latency_s=latency_s)
         vigour = strength * (1.0 - (1.0 - _HABITUATED_SHARE) * habituation)
-        if train.action is Action.START:
+        if train.action in {Action.START, Action.FOLLOW_WALLS}:
             run_m = vigour * _between(_RUN_SHORTEST_M, _RUN_LONGEST_M, self._draw(biobot, _RUN_STREAM, index))
             return Response(has_responded=True, latency_s=latency_s, run_m=run_m)
         side = 1.0 if train.action is Action.TURN_LEFT else -1.0

@@ -51,6 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     radio_flags.add_arguments(parser)
     imu = "backpacks report how far they were carried between encounters"
     parser.add_argument("--imu", action="store_true", default=None, help=imu)
+    walls = "backpacks can have their insects follow walls, by command"
+    parser.add_argument("--wall-following", action="store_true", default=None, help=walls)
     parser.add_argument("--watch", action="store_true", default=None, help="show the insects in the terminal")
     add_line_arguments(parser)
     parser.add_argument("--preset", metavar="NAME", help="parameters of insects (default: paper-units)")
@@ -153,6 +155,7 @@ def main(args: argparse.Namespace) -> int:
             sensing=sensing_config(config, setting, loss=config.loss) if config.sensing == "beacon" else None,
             wander_ppm=config.wander_ppm,
             has_imu=config.imu,
+            can_follow_walls=config.wall_following,
             flush=stream.flush if stream is not None else lambda: None,
             response=config.response,
             metres_per_unit=_metres_per_unit(config, setting),

@@ -69,6 +69,8 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
     imu
         Backpacks have an inertial unit and report, with each encounter, how far they were carried since the one before: the true path
         times a factor from 0.9 to 1.1 of each backpack's own.
+    wall_following
+        Backpacks can have their insects keep to walls, and say so.
     watch
         Show the insects in the terminal while they walk.
     faults
@@ -96,6 +98,7 @@ class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=
     force: bool = False
     ready_file: str | None = None
     imu: bool = False
+    wall_following: bool = False
     watch: bool = False
     faults: FaultConfig = msgspec.field(default_factory=FaultConfig)
     position_samples: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 201

@@ -54,6 +54,8 @@ class Cast:
         End by itself then [s of the run]; None: on a signal.
     insects_obey
         False in a replay: commands are answered and change nothing.
+    can_follow_walls
+        Backpacks can have their insects keep to walls, and say so.
     radio, sensing, wander_ppm, has_imu
         The air between all; how encounters are formed from beacons (None: they are exact); how much clocks' rates wander; whether
         backpacks measure how far they are carried.
@@ -76,6 +78,7 @@ class Cast:
     tend: Callable[[], None] = lambda: None
     picture: Watch | None = None
     insects_obey: bool = True
+    can_follow_walls: bool = False
     radio: RadioConfig = dataclasses.field(default_factory=RadioConfig)
     sensing: SensingConfig | None = None
     wander_ppm: float = 0.0
@@ -313,6 +316,7 @@ def _swarm_config(config: ServeConfig | ReplayConfig, cast: Cast, *, boot: BootI
             provisional_ms=round(config.provisional_s * 1000),
             battery_life_ms=round(config.battery_life_s * 1000),
             insect_obeys=cast.insects_obey,
+            can_follow_walls=cast.can_follow_walls,
             beacon_period_ms=0 if sensing is None else round(sensing.period_s * 1000),
             proximity=None if sensing is None else sensing.proximity(per_s=1000),
         ),

@@ -92,7 +92,8 @@ class Steering:
             self._world.stop(node, cause=cause)
         elif actuation.mode is WireMode.CRW:
             self._held.discard(node)
-            self._world.start(node, cause=cause)
+            let_go = self._world.follow_walls if actuation.action is Action.FOLLOW_WALLS else self._world.start
+            let_go(node, cause=cause)
         train = actuation.train
         response = None
         if train is not None:

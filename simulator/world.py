@@ -20,7 +20,7 @@ from simulator.failures import draw_failures
 from simulator.legs import Floats, Indices, Legs, locate
 from simulator.motion import MotionParameters
 from simulator.past import Past, to_legs
-from simulator.recipe import engine_config
+from simulator.recipe import engine_config, motion_under_command
 from simulator.snapshot import WorldParts, pack, unpack
 from simulator.telling import CAUSES, MODES, tell_events, tell_run
 
@@ -98,7 +98,12 @@ class World:
         lost_s, flat_s = draw_failures(moved, seed=seed, keys=keys)
         self._lost_first = lost_s <= flat_s
         self._engine = Engine(
-            engine_config(moved, ranges, seed=seed, period=arena.bounds[2] - arena.bounds[0] if torus else 0.0),
+            engine_config(
+                motion_under_command(motion).faster(speed_factor),
+                ranges,
+                seed=seed,
+                period=arena.bounds[2] - arena.bounds[0] if torus else 0.0,
+            ),
             ids=keys,
             places=arena.draw_places(seed=seed, ids=keys),
             silent_from_s=np.minimum(lost_s, flat_s),
@@ -176,15 +181,17 @@ class World:
     def start(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
         """Let a biobot walk from now on, in a new direction; return whether its mode changed.
 
-        The event comes with the next ``advance``. Starting a walking biobot changes nothing, nor a dead, stuck or overturned one; one
-        that rests by itself gets up.
+        The event comes with the next ``advance``. Starting a walking biobot changes nothing, but that it follows walls no more if it was
+        told to; nor a dead, stuck or overturned one; one that rests by itself gets up.
         """
-        row = self._find(biobot_id)
-        if self._state(row)[0] is Mode.CRW:
-            return False
-        changed = self._engine.go(row, is_command=cause is Cause.COMMAND, at_s=self._now_s)
-        self._past.add(self._engine.take_legs())
-        return changed
+        return self._let_go(self._find(biobot_id), cause=cause, follows_walls=False)
+
+    def follow_walls(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
+        """Let a biobot walk as ``start`` does, and keep to walls until a start or a stop; return whether its mode changed.
+
+        It goes along walls as with ``WallLaw.FOLLOW``, whatever the law of all (``simulator.recipe.motion_under_command``).
+        """
+        return self._let_go(self._find(biobot_id), cause=cause, follows_walls=True)
 
     def turn(self, biobot_id: int, angle_rad: float) -> bool:
         """Turn a biobot to the left (positive) or right [rad], and let it walk on from there; return whether it moved.
@@ -371,6 +378,14 @@ class World:
             yield self._engine.take_events()
             if progress is not None:
                 progress(end_s)
+
+    def _let_go(self, row: int, *, cause: Cause, follows_walls: bool) -> bool:
+        self._engine.follow_walls(row, follows=follows_walls, at_s=self._now_s)
+        changed = False
+        if self._state(row)[0] is not Mode.CRW:
+            changed = self._engine.go(row, is_command=cause is Cause.COMMAND, at_s=self._now_s)
+        self._past.add(self._engine.take_legs())
+        return changed
 
     def _steer(self, biobot_id: int, *, turns: float, distance: float) -> bool:
         if not math.isfinite(turns):

@@ -153,7 +153,7 @@ static const uint8_t time_sync_request[] = {
 
 static const uint8_t stimulate[] = {
     BB_OP_U32, AT(bb_stimulate, command),
-    BB_OP_U8 | BB_OP_LIMITED, AT(bb_stimulate, action), 1, 4,
+    BB_OP_U8 | BB_OP_LIMITED, AT(bb_stimulate, action), 1, 5,
     BB_OP_U16, AT(bb_stimulate, ttl_ms),
     BB_OP_U32, AT(bb_stimulate, hold_ms),
     BB_OP_U8, AT(bb_stimulate, frequency_hz),

@@ -188,7 +188,7 @@ struct bb_time_sync_request {
 /* WIRE_FORMAT.md 6.5 */
 struct bb_stimulate {
     uint32_t command;
-    uint8_t action; /* 1 to 4 */
+    uint8_t action; /* 1 to 5 */
     uint16_t ttl_ms; /* ms */
     uint32_t hold_ms; /* ms */
     uint8_t frequency_hz; /* Hz */

@@ -24,6 +24,9 @@ class StimulationAction(Enum):
     STOP = "stop"
     TURN_LEFT = "turn_left"
     TURN_RIGHT = "turn_right"
+    FOLLOW_WALLS = "follow_walls"
+    """To walk as after a start, and to keep to walls; only for backpacks that can. Without a train, but where the request's pulse has a
+    ``duration_ms``."""
     STOP_ALL = "stop_all"
     """Every biobot that the gateway can reach; the request's node is ``EVERYBODY``."""
 
@@ -53,8 +56,8 @@ class PulseRequest(Struct, frozen=True, kw_only=True):
 class StimulationRequest(Struct, frozen=True, kw_only=True):
     """A command to one biobot or to all, sent as a query to ``command/{gateway}``, or to all gateways' at once.
 
-    A start or a turn with ``hold_ms`` or ``commander`` is *controlled motion*: the biobot is stopped when the hold is over, by its backpack
-    and by the gateway, or when its commander is gone.
+    A motion (all but stops) with ``hold_ms`` or ``commander`` is *controlled motion*: the biobot is stopped when the hold is over, by its
+    backpack and by the gateway, or when its commander is gone.
     """
 
     command_id: CommandId

@@ -35,6 +35,8 @@ class Stream(Enum):
     ORDERS = "orders"
     BEAT = "beat"
     """The name in the place of the gateway's is its commander's."""
+    ECHO = "echo"
+    """The name in the place of the gateway's is any service's, which looks there whether it is heard."""
 
 
 _NODE = re.compile(r"[0-9]{1,20}\Z", re.ASCII)

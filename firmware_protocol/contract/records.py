@@ -153,6 +153,14 @@ class LandmarkChange(Struct, frozen=True, kw_only=True):
     wall_ns: Nanoseconds
 
 
+class WallPhase(Struct, frozen=True, kw_only=True):
+    """Of an exploration: the newest of its wall phases, and who was told to follow walls and not yet to walk as before."""
+
+    number: _Count
+    following: dict[int, int] = {}
+    """And when that was decided, as ``ran_ns``."""
+
+
 class MissionRecord(RecordHead, frozen=True, kw_only=True, tag="mission"):
     """A phase of the mission began at ``t_start_ns``; a revision tells how its landmarks changed meanwhile."""
 
@@ -180,6 +188,8 @@ class MissionRecord(RecordHead, frozen=True, kw_only=True, tag="mission"):
     """How long the phase had run before, up to a pause [ns]."""
     explored_ns: int = 0
     """How long the explorations of earlier rounds were, together [ns]."""
+    walls: WallPhase | msgspec.UnsetType = msgspec.UNSET
+    """Left out where there was no wall phase."""
 
 
 JournalRecord: TypeAlias = EncounterRecord | ModeRecord | MissionRecord

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from firmware_protocol.contract.records import LandmarkChoice, LandmarkCluster
+from firmware_protocol.contract.records import LandmarkChoice, LandmarkCluster, Mode
 from firmware_protocol.landmarks import choose_landmarks, next_landmark
 from firmware_protocol.messages import Capability, WireCause, WireMode
 from firmware_protocol.units import NS_PER_S, NodeId
@@ -95,6 +95,28 @@ def choose_next(
     eligible = set(candidates.eligible) - set(excluded)
     picked = next_landmark(candidates.adjacency, standing=standing, eligible=eligible, near=near)
     return None if picked is None else NodeId(picked)
+
+
+def is_walking(node: Node) -> bool:
+    """Return whether a biobot walks, as far as is known from its own reports."""
+    return node.mode is not None and node.mode.mode is Mode.CRW
+
+
+def can_follow_walls(node: Node, *, config: MissionTable, now_ns: int) -> bool:
+    """Return whether a biobot was heard lately, walks, and says that its backpack can have it follow walls; ``now_ns`` is monotonic."""
+    is_heard = node.last_heard_ns and node.last_heard_ns >= now_ns - int(config.candidate_silence_s * NS_PER_S)
+    return bool(is_heard and node.is_introduced and node.capabilities & Capability.FOLLOW_WALLS and is_walking(node))
+
+
+def choice_facts(choice: LandmarkChoice) -> dict[str, object]:
+    """Return a choice of landmarks as the audit log has it."""
+    return {
+        "wanted": choice.n_wanted,
+        "picks": list(choice.awaited),
+        "candidates": len(choice.candidates),
+        "left_out": {why: len(who) for why, who in choice.left_out.items()},
+        "clusters": [[one.size, len(one.picks), one.radius] for one in choice.clusters],
+    }
 
 
 def _why_unfit(node: Node, *, config: MissionTable, resting: Collection[NodeId], standing: Collection[NodeId]) -> str:

@@ -44,14 +44,16 @@ class Chronicle:
         self._unwritten.append(self._record)
         self.write()
 
-    def revise(self, state: MissionState) -> None:
-        """Write down what has changed within the phase."""
+    def revise(self, state: MissionState) -> bool:
+        """Write down what has changed within the phase; return whether there is more to tell of it than the record did."""
         if self._record is None:
             self.begin(replace(state, is_continued=True))
-            return
+            return False
+        has_more = self._record.reason != state.reason
         self._record = revise_phase(self._record, state)
         self._unwritten.append(self._record)
         self.write()
+        return has_more
 
     def write(self) -> None:
         """Hand what waits to the journal; what does not find room there is handed over by a later call."""

@@ -5,7 +5,7 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from firmware_protocol.contract.commands import CommandStage, Refusal, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.messages import WireCause, WireMode
 from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.health import Health
@@ -97,20 +97,35 @@ class LandmarkCommander:
 
     async def start(self, node: NodeId, *, name: str) -> Outcome:
         """Have a biobot walk, by a ``name`` that is for good: a start whose outcome is not known is not given again by a later process."""
+        outcome = await self._give(node, StimulationAction.START, name=name, pulse=None, is_wanted=self._may_command)
+        if outcome.was_kept:
+            return outcome
+        self._health.count("mission.released" if outcome.is_done else "mission.releases_failed")
+        if not outcome.is_done:
+            _log.warning("mission.not_released", node=node, reason=outcome.reason)
+        return outcome
+
+    async def walk(self, node: NodeId, action: StimulationAction, *, name: str, is_wanted: Callable[[], bool]) -> Outcome:
+        """Have a walking biobot start anew or follow walls, without a train; ``name`` as of ``start``."""
+        outcome = await self._give(node, action, name=name, pulse=PulseRequest(duration_ms=0), is_wanted=is_wanted)
+        if not outcome.was_kept:
+            self._health.count("mission.walls_told" if outcome.is_done else "mission.walls_failed")
+        return outcome
+
+    async def _give(
+        self, node: NodeId, action: StimulationAction, *, name: str, pulse: PulseRequest | None, is_wanted: Callable[[], bool]
+    ) -> Outcome:
         async with self._alone(node):
             outcome = Outcome(is_done=False, reason="it was not asked")
             for attempt in range(_MAX_STARTS):
                 await self._wait_for_the_disk()
-                if not self._may_command():
+                if not is_wanted():
                     return Outcome(is_done=False, was_kept=True)
-                last = await self._command(node, StimulationAction.START, command_id=f"{name}-{attempt}")
+                last = await self._command(node, action, command_id=f"{name}-{attempt}", pulse=pulse)
                 outcome = Outcome(is_done=last.stage is Stage.BIOBOT_CONFIRMED, reason=last.reason)
                 if last.stage is not Stage.REFUSED or last.refusal not in _NEVER_SENT:
                     break
                 await asyncio.sleep(_START_AGAIN_S)
-        self._health.count("mission.released" if outcome.is_done else "mission.releases_failed")
-        if not outcome.is_done:
-            _log.warning("mission.not_released", node=node, reason=outcome.reason)
         return outcome
 
     def _alone(self, node: NodeId) -> asyncio.Lock:
@@ -121,9 +136,12 @@ class LandmarkCommander:
         self._n_given += 1
         return f"{self._name}-{self._n_given}-{node}"
 
-    async def _command(self, node: NodeId, action: StimulationAction, *, command_id: str) -> CommandStage:
+    async def _command(
+        self, node: NodeId, action: StimulationAction, *, command_id: str, pulse: PulseRequest | None = None
+    ) -> CommandStage:
+        issued_wall_ns = Nanoseconds(self._wall_clock())
         request = StimulationRequest(
-            command_id=command_id, node=node, action=action, operator=OPERATOR, issued_wall_ns=Nanoseconds(self._wall_clock())
+            command_id=command_id, node=node, action=action, operator=OPERATOR, issued_wall_ns=issued_wall_ns, pulse=pulse
         )
         stages: list[CommandStage] = []
         await self._handle(request, stages.append)

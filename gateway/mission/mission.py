@@ -8,23 +8,23 @@ from typing import Protocol
 
 from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.mission_orders import MissionAction, MissionAnswer, MissionOrder
-from firmware_protocol.contract.records import Cause, EncounterRecord, MissionPhase, Mode, ModeRecord
-from firmware_protocol.messages import LEAVE_RSSI
-from firmware_protocol.units import NS_PER_S, NodeId, RssiDbm
+from firmware_protocol.contract.records import EncounterRecord, MissionPhase, Mode, ModeRecord
+from firmware_protocol.units import NS_PER_S, NodeId
 from gateway.config import MissionTable
 from gateway.health import Health
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
 from gateway.journal_file import Committed, JournalReader
 from gateway.log import EventLog
-from gateway.mission.candidates import USUAL_SHARE, Candidates, choose, choose_next, count_wanted, find_candidates
+from gateway.mission.candidates import USUAL_SHARE, Candidates, choice_facts, choose, choose_next, count_wanted, find_candidates
 from gateway.mission.chronicle import Chronicle
 from gateway.mission.landmark_commands import OPERATOR, Handle, LandmarkCommander
-from gateway.mission.orders import OrderMemory, refusal_of
+from gateway.mission.orders import OrderMemory, answer_of, refusal_of
 from gateway.mission.planner import COMMANDING, MissionPlanner
 from gateway.mission.states import restore_state
-from gateway.mission.steps import Choose, LetGo, MakeLandmark, MissionState, MissionStep, Tell
-from gateway.mission.watch import LandmarkWatch, Suspicion
+from gateway.mission.steps import Choose, FollowWalls, LetGo, MakeLandmark, MissionState, MissionStep, Tell
+from gateway.mission.wall_walks import WallWalks
+from gateway.mission.watch import LandmarkWatch, Suspicion, stands_by_command, threshold_of
 from gateway.nodes import NodeBook
 
 _log = EventLog(__name__)
@@ -37,6 +37,7 @@ _ON_DISK_S = 2.0
 """An order's answer waits so long for the disk."""
 
 _RESTORED_ORDERS = 256
+_STARTS = {StimulationAction.START, StimulationAction.FOLLOW_WALLS}
 
 
 class Note(Protocol):
@@ -57,6 +58,8 @@ class Mission:
         The audit log's.
     on_event
         Told what an operator may want to know: level, kind and facts.
+    controlled
+        Who is under controlled motion: nobody of them is told to follow walls.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class Mission:
         health: Health,
         note: Note,
         on_event: Callable[[str, str, Mapping[str, str]], None],
+        controlled: Callable[[], Collection[NodeId]] = tuple,
         wall_clock: Callable[[], int] = time.time_ns,
     ) -> None:
         self._config = config
@@ -92,6 +96,16 @@ class Mission:
             name=f"mission-{issuer.boot}",
             patience_s=config.selection_timeout_s,
             wall_clock=wall_clock,
+        )
+        self._walls = WallWalks(
+            config=config,
+            commander=self._commander,
+            planner=self._planner,
+            nodes=nodes,
+            ran_ns=lambda: journal.ran_ns,
+            may_command=self._may_command,
+            controlled=controlled,
+            proceed=self._proceed,
         )
         self._orders = OrderMemory(gateway=issuer.gateway)
         self._chronicle = Chronicle(issuer=issuer, journal=journal)
@@ -115,6 +129,7 @@ class Mission:
     async def run(self) -> None:
         """Go through the phases, until cancelled."""
         async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._walls.run())
             while True:
                 now_ns = time.monotonic_ns()
                 self._chronicle.write()
@@ -125,9 +140,9 @@ class Mission:
                 self._look(now_ns=now_ns)
                 known = self._known(now_ns=now_ns) if self._needs_to_know() else set()
                 is_graph_known = bool(known) and known <= self._nodes.adjacency().keys()
-                pick = partial(self._pick, now_ns=now_ns)
+                pick, followers = partial(self._pick, now_ns=now_ns), partial(self._walls.followers, now_ns=now_ns)
                 self._waiting += self._planner.tick(
-                    now_ns=self._journal.ran_ns, n_known=len(known), is_graph_known=is_graph_known, pick=pick
+                    now_ns=self._journal.ran_ns, n_known=len(known), is_graph_known=is_graph_known, pick=pick, followers=followers
                 )
                 self._take_waiting(tasks)
                 self._watch.set_landmarks(self.state.landmarks, now_ns=now_ns)
@@ -150,7 +165,14 @@ class Mission:
             refusal, steps = self._planner.order(
                 order.action, operator=order.operator, order_id=order.order_id, now_ns=self._journal.ran_ns
             )
-        answer = self._answer(order, refusal=refusal)
+        answer = answer_of(
+            order,
+            self.state,
+            gateway=self._issuer.gateway,
+            refusal=refusal,
+            remaining_ns=self._planner.remaining_ns(self._journal.ran_ns),
+            possible=self._planner.possible(),
+        )
         self._orders.note(order, answer)
         if order.action is not MissionAction.SHOW:
             facts = {"order": order.order_id, "action": order.action.value, "taken": refusal is None, "reason": refusal or ""}
@@ -173,8 +195,10 @@ class Mission:
         if request.action is StimulationAction.STOP_ALL:
             walking = [node.node for node in self._nodes.all() if node.mode is None or node.mode.mode is Mode.CRW]
             self._proceed(self._planner.stop_all(operator=request.operator, walking=walking, now_ns=now_ns))
-        elif request.action is StimulationAction.START and request.operator != OPERATOR and request.node in self.state.landmarks:
+        elif request.action in _STARTS and request.operator != OPERATOR and request.node in self.state.landmarks:
             self._lose(request.node, reason=f"{request.operator} let it walk", is_let_go=False)
+        if request.operator != OPERATOR and request.node in self.state.following:
+            self._proceed(self._planner.leave_walls(request.node))
 
     def take_records(self, committed: Committed) -> None:
         """Judge the landmarks by what has come to lie on disk."""
@@ -183,17 +207,18 @@ class Mission:
         landmarks, failed = self.state.landmarks, self.state.choice.failed
         for record in committed.records:
             if isinstance(record, EncounterRecord) and record.node_a in landmarks and record.node_b in landmarks:
+                both = map(self._nodes.find, (record.node_a, record.node_b))
                 suspicion = self._watch.take_encounter(
                     record,
                     t_start_ns=self._issuer.to_own_monotonic_ns(record.t_start_ns, anchor_ns=record.wall_anchor_ns),
                     t_end_ns=self._issuer.to_own_monotonic_ns(record.t_end_ns, anchor_ns=record.wall_anchor_ns),
-                    enter_dbm=self._enter_dbm(record.node_a, record.node_b),
+                    enter_dbm=threshold_of(*(one.configuration for one in both if one is not None)),
                     now_ns=time.monotonic_ns(),
                 )
             elif isinstance(record, ModeRecord) and record.node in landmarks:
                 t_start_ns = self._issuer.to_own_monotonic_ns(record.t_start_ns, anchor_ns=record.wall_anchor_ns)
                 suspicion = self._watch.take_mode(record, t_start_ns=t_start_ns)
-            elif isinstance(record, ModeRecord) and record.node in failed and _stands_by_command(record):
+            elif isinstance(record, ModeRecord) and record.node in failed and stands_by_command(record):
                 self._proceed(self._planner.stands_after_all(record.node, now_ns=self._journal.ran_ns))
                 continue
             else:
@@ -249,6 +274,8 @@ class Mission:
                     tasks.create_task(self._choose(turn))
                 case MakeLandmark(node=node, is_again=is_again):
                     tasks.create_task(self._make_landmark(node, on_disk=self._chronicle.on_disk, is_again=is_again))
+                case FollowWalls():
+                    self._walls.take(step, self._chronicle.on_disk)
                 case LetGo(node=node, decided_ns=decided_ns):
                     tasks.create_task(self._let_go(node, on_disk=self._chronicle.on_disk, decided_ns=decided_ns))
 
@@ -258,13 +285,6 @@ class Mission:
         candidates = self._candidates(now_ns=now_ns, excluded=self._planner.resting.keys())
         n_wanted = count_wanted(self._config, n_known=max(candidates.n_heard, 1))
         choice = await asyncio.to_thread(choose, candidates, n_wanted=n_wanted, turn=turn)
-        facts = {
-            "wanted": n_wanted,
-            "picks": list(choice.awaited),
-            "candidates": len(choice.candidates),
-            "left_out": {why: len(who) for why, who in choice.left_out.items()},
-            "clusters": [[one.size, len(one.picks), one.radius] for one in choice.clusters],
-        }
         if not choice.awaited:
             if not self._has_heard_choice:
                 _log.warning("mission.no_candidates", **{why.replace(" ", "_"): len(who) for why, who in choice.left_out.items()})
@@ -275,7 +295,7 @@ class Mission:
             share = n_wanted / max(candidates.n_heard, 1)
             if not USUAL_SHARE[0] <= share <= USUAL_SHARE[1] and candidates.n_heard >= 1 / USUAL_SHARE[0]:
                 _log.warning("mission.share", wanted=n_wanted, biobots=candidates.n_heard, advice="the method takes 0.1 to 0.2 of them")
-            self._note("landmark.choice", facts=facts)
+            self._note("landmark.choice", facts=choice_facts(choice))
             _log.info("mission.choice", wanted=n_wanted, candidates=len(choice.candidates), clusters=len(choice.clusters))
         self._proceed(self._planner.take_choice(choice, now_ns=self._journal.ran_ns))
 
@@ -354,18 +374,14 @@ class Mission:
         self._note("landmark.lost", facts={"reason": reason}, node=node)
         self._on_event("warning", "mission.landmark_lost", {"node": str(node), "reason": reason})
 
-    def _enter_dbm(self, one: NodeId, other: NodeId) -> RssiDbm | None:
-        found = []
-        for node in (self._nodes.find(one), self._nodes.find(other)):
-            report = None if node is None else node.configuration
-            if report is not None and report.rssi_enter_dbm != LEAVE_RSSI:
-                found.append(report.rssi_enter_dbm)
-        return RssiDbm(min(found)) if found else None
-
     def _tell(self, step: Tell) -> None:
         state = step.state
         if step.is_revision:
-            self._chronicle.revise(state)
+            if self._chronicle.revise(state):  # a wall phase has begun or is over
+                self._note(
+                    "mission.walls", facts={"number": state.wall_phase, "following": sorted(state.following), "reason": state.reason}
+                )
+                _log.info("mission.walls", number=state.wall_phase, following=len(state.following), reason=state.reason)
             return
         self._chronicle.begin(state)
         facts = {"phase": state.phase.value, "round": state.round, "landmarks": sorted(state.landmarks), "reason": state.reason}
@@ -374,25 +390,6 @@ class Mission:
 
     async def _answer_order(self, order: MissionOrder, tell: Callable[[MissionAnswer], None]) -> None:
         tell(await self.handle_order(order))
-
-    def _answer(self, order: MissionOrder, *, refusal: str | None) -> MissionAnswer:
-        state = self.state
-        remaining_ns = self._planner.remaining_ns(self._journal.ran_ns)
-        return MissionAnswer(
-            order_id=order.order_id,
-            gateway=self._issuer.gateway,
-            is_taken=refusal is None,
-            phase=state.phase,
-            landmarks=tuple(sorted(state.landmarks)),
-            reason=refusal or state.reason,
-            round=state.round,
-            remaining_s=None if remaining_ns is None else remaining_ns / NS_PER_S,
-            possible=self._planner.possible(),
-        )
-
-
-def _stands_by_command(record: ModeRecord) -> bool:
-    return record.mode is Mode.S and record.cause is Cause.COMMAND and record.t_end_ns is None
 
 
 async def _wait_for(on_disk: "asyncio.Future[None] | None") -> None:

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.contract.mission_orders import MissionAction, MissionAnswer, MissionOrder
 from firmware_protocol.contract.records import MissionRecord
-from firmware_protocol.units import NS_PER_MS
+from firmware_protocol.units import NS_PER_MS, NS_PER_S
+from gateway.mission.steps import MissionState
 
 _MAX_REMEMBERED = 1024
 _MAX_AHEAD_MS = 2_000
@@ -30,6 +31,29 @@ def refusal_of(order: MissionOrder, *, now_wall_ns: int, journal_fault: str | No
             f"the journal takes nothing ({journal_fault}): a mission that is not on disk commands nobody; make room, or pause or finish it"
         )
     return None
+
+
+def answer_of(
+    order: MissionOrder,
+    state: MissionState,
+    *,
+    gateway: str,
+    refusal: str | None,
+    remaining_ns: int | None,
+    possible: tuple[MissionAction, ...],
+) -> MissionAnswer:
+    """Return the answer to an order: how the mission stands, or why the order was not taken."""
+    return MissionAnswer(
+        order_id=order.order_id,
+        gateway=gateway,
+        is_taken=refusal is None,
+        phase=state.phase,
+        landmarks=tuple(sorted(state.landmarks)),
+        reason=refusal or state.reason,
+        round=state.round,
+        remaining_s=None if remaining_ns is None else remaining_ns / NS_PER_S,
+        possible=possible,
+    )
 
 
 @dataclass(slots=True, kw_only=True)

@@ -1,6 +1,6 @@
 """The mission's state machine (docs/mission.md has its table). Pure: it is told what is so, and returns what to do."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,7 +10,8 @@ from firmware_protocol.contract.mission_orders import MissionAction
 from firmware_protocol.contract.records import LandmarkChange, LandmarkChoice, MissionPhase
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.config import MissionTable
-from gateway.mission.steps import Choose, LetGo, MakeLandmark, MissionState, MissionStep, Picker, Tell
+from gateway.mission.steps import Choose, FollowWalls, LetGo, MakeLandmark, MissionState, MissionStep, Picker, Tell
+from gateway.mission.wall_phases import WallPhases
 
 MAX_CHANGES = 64
 _MIN_FAILURES = 10
@@ -57,13 +58,17 @@ class MissionPlanner:
     """Landmarks that were stopped again."""
     _excused: set[NodeId] = field(default_factory=set)
     """Those that did not answer, and were found to stand after all."""
+    _wall_phases: WallPhases = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._wall_phases = WallPhases(config=self.config)
 
     def resume(self, state: MissionState, *, now_ns: int) -> list[MissionStep]:
         """Go on with the mission of an earlier process. Neighbour reports are waited for from now: those given before are gone."""
         self.state, self._waits_from_ns = state, now_ns
         for change in state.changes:
             self._rest(change.node, now_ns=now_ns)
-        return self._outstanding()
+        return self._outstanding(now_ns)
 
     def remaining_ns(self, now_ns: int) -> int | None:
         """Return how long the phase lasts yet, or None where no time ends it."""
@@ -77,7 +82,9 @@ class MissionPlanner:
             lengths += [self.config.exploration_s - state.explored_ns / NS_PER_S] if self.config.exploration_s else []
         return None if not lengths else max(0, int(min(lengths) * NS_PER_S) - state.elapsed_ns(now_ns))
 
-    def tick(self, *, now_ns: int, n_known: int, is_graph_known: bool, pick: Picker) -> list[MissionStep]:
+    def tick(
+        self, *, now_ns: int, n_known: int, is_graph_known: bool, pick: Picker, followers: Callable[[], Collection[NodeId]] = tuple
+    ) -> list[MissionStep]:
         """Return what time brings about.
 
         Parameters
@@ -86,7 +93,15 @@ class MissionPlanner:
             Biobots heard of; where there are none, nothing begins.
         is_graph_known
             All of them have told whom they hear; without, it is waited for, but not for ever.
+        followers
+            Says who walks and can follow walls.
         """
+        return [
+            *self._tick_phase(now_ns=now_ns, n_known=n_known, is_graph_known=is_graph_known, pick=pick),
+            *self._walls(now_ns, followers),
+        ]
+
+    def _tick_phase(self, *, now_ns: int, n_known: int, is_graph_known: bool, pick: Picker) -> list[MissionStep]:
         state = self.state
         match state.phase:
             case MissionPhase.IDLE if n_known and self.config.is_enabled:
@@ -134,6 +149,8 @@ class MissionPlanner:
         """Pause, because everybody was stopped; those who walked until then are let go when it is resumed."""
         state = self.state
         halted = {**dict.fromkeys(frozenset(walking) - state.landmarks - state.awaited, now_ns), **state.releasing}
+        if state.following:
+            self._change(following={})
         if state.phase is _P.PAUSED:
             self._change(releasing=halted)
             return self._revision()
@@ -212,6 +229,26 @@ class MissionPlanner:
         """Take that ``LetGo`` has had its one answer."""
         if node in self.state.releasing:
             self._change(releasing={one: at_ns for one, at_ns in self.state.releasing.items() if one != node})
+
+    def follows(self, step: FollowWalls, *, now_ns: int) -> bool:
+        """Return whether what a step asks for is wanted yet: it is not when its time is over, nor of a landmark or one commanded since."""
+        return self._wall_phases.wants(step, self.state, now_ns=now_ns)
+
+    def leave_walls(self, node: NodeId, *, decided_ns: int | None = None) -> list[MissionStep]:
+        """Take that a biobot was told to walk as before, or (without an instant) that somebody else commands it, and it is told nothing."""
+        if node in self.state.following and decided_ns in {None, self.state.following[node]}:
+            self._change(following={one: at_ns for one, at_ns in self.state.following.items() if one != node})
+        return self._revision()
+
+    def _walls(self, now_ns: int, followers: Callable[[], Collection[NodeId]]) -> list[MissionStep]:
+        """Begin a wall phase, or end it."""
+        if self.state.phase not in COMMANDING:
+            return []
+        changes, steps = self._wall_phases.decide(self.state, now_ns=now_ns, followers=followers)
+        if not changes and not steps:
+            return []
+        self._change(**changes)
+        return [*self._revision(), *steps]
 
     def _select(self, *, now_ns: int, n_known: int, is_graph_known: bool, pick: Picker) -> list[MissionStep]:
         state = self.state
@@ -293,34 +330,51 @@ class MissionPlanner:
             changes=() if is_anew else state.changes,
             **named,
         )
-        return [*steps, *self._outstanding()]
+        return [*steps, *self._outstanding(now_ns)]
 
     def _pause(self, *, now_ns: int, reason: str, **named: Any) -> list[MissionStep]:
         state = self.state
         self._is_choosing = False
-        return self._enter(_P.PAUSED, now_ns=now_ns, reason=reason, interrupted=state.phase, spent_ns=state.elapsed_ns(now_ns), **named)
+        return self._enter(
+            _P.PAUSED,
+            now_ns=now_ns,
+            reason=reason,
+            interrupted=state.phase,
+            spent_ns=state.elapsed_ns(now_ns),
+            wall_phase=state.wall_phase,
+            **named,
+        )
 
     def _continue(self, *, now_ns: int, reason: str, **named: Any) -> list[MissionStep]:
         state = self.state
         assert state.interrupted is not None
         # Silence and reports are judged from now on: during the pause nobody may have said anything.
         self._waits_from_ns, self._next_try_ns = now_ns, 0
-        steps = self._enter(state.interrupted, now_ns=now_ns, reason=reason, is_continued=True, spent_ns=state.spent_ns, **named)
-        return [*steps, *self._outstanding()]
+        steps = self._enter(
+            state.interrupted,
+            now_ns=now_ns,
+            reason=reason,
+            is_continued=True,
+            spent_ns=state.spent_ns,
+            wall_phase=state.wall_phase,
+            **named,
+        )
+        return [*steps, *self._outstanding(now_ns)]
 
-    def _outstanding(self) -> list[MissionStep]:
+    def _outstanding(self, now_ns: int) -> list[MissionStep]:
         """Return the commands that were decided on, and whose outcome is not known."""
         if self.state.phase not in COMMANDING:
             return []
         going = [LetGo(node=node, decided_ns=at_ns) for node, at_ns in sorted(self.state.releasing.items())]
-        return [*(MakeLandmark(node=node) for node in sorted(self.state.awaited)), *going]
+        walls = self._wall_phases.again(self.state, now_ns=now_ns)
+        return [*(MakeLandmark(node=node) for node in sorted(self.state.awaited)), *going, *walls]
 
     def _rest(self, node: NodeId, *, now_ns: int) -> None:
         self.resting[node] = now_ns + REST_NS
 
     def _enter(self, phase: MissionPhase, *, now_ns: int, **changed: Any) -> list[MissionStep]:
         """Begin a phase; what is not given of its name, its cause and its time is empty."""
-        bare: dict[str, Any] = {"spent_ns": 0, "interrupted": None, "is_continued": False, "operator": "", "order_id": ""}
+        bare: dict[str, Any] = {"spent_ns": 0, "wall_phase": 0, "interrupted": None, "is_continued": False, "operator": "", "order_id": ""}
         self.state = replace(self.state, **bare | changed, phase=phase, began_ns=now_ns)
         self._is_changed = False
         return [Tell(state=self.state, is_revision=False)]

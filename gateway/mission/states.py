@@ -2,7 +2,7 @@
 
 import msgspec
 
-from firmware_protocol.contract.records import MissionPhase, MissionRecord
+from firmware_protocol.contract.records import MissionPhase, MissionRecord, WallPhase
 from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.issuer import RecordIssuer
 from gateway.mission.steps import MissionState
@@ -33,6 +33,7 @@ def record_phase(state: MissionState, *, issuer: RecordIssuer, now_ns: int) -> M
         releasing={int(node): decided_ns for node, decided_ns in state.releasing.items()},
         choice=state.choice,
         changes=state.changes,
+        walls=_walls_of(state),
     )
 
 
@@ -45,6 +46,8 @@ def revise_phase(record: MissionRecord, state: MissionState) -> MissionRecord:
         releasing={int(node): decided_ns for node, decided_ns in state.releasing.items()},
         choice=state.choice,
         changes=state.changes,
+        reason=state.reason,
+        walls=_walls_of(state),
     )
 
 
@@ -62,6 +65,7 @@ def restore_state(record: MissionRecord, *, issuer: RecordIssuer, now_ns: int, n
         since_ns = issuer.to_own_monotonic_ns(record.t_start_ns, anchor_ns=record.wall_anchor_ns)
         began_ns = now_ran_ns - max(0, now_ns - since_ns)
     interrupted = record.interrupted
+    walls = WallPhase(number=0) if record.walls is msgspec.UNSET else record.walls
     if record.phase is MissionPhase.PAUSED and interrupted is None:
         interrupted = MissionPhase.IDLE  # no gateway writes that
     return MissionState(
@@ -74,9 +78,17 @@ def restore_state(record: MissionRecord, *, issuer: RecordIssuer, now_ns: int, n
         releasing={NodeId(node): decided_ns for node, decided_ns in record.releasing.items()},
         choice=record.choice,
         changes=record.changes,
+        wall_phase=walls.number,
+        following={NodeId(node): decided_ns for node, decided_ns in walls.following.items()},
         interrupted=interrupted,
         is_continued=record.is_continued,
         reason=record.reason,
         operator=record.operator,
         order_id=record.order_id,
     )
+
+
+def _walls_of(state: MissionState) -> WallPhase | msgspec.UnsetType:
+    if not state.wall_phase and not state.following:
+        return msgspec.UNSET
+    return WallPhase(number=state.wall_phase, following={int(node): decided_ns for node, decided_ns in state.following.items()})

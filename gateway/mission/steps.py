@@ -30,6 +30,10 @@ class MissionState:
     """Who is to be let walk again, and when that was decided."""
     choice: LandmarkChoice | None = None
     changes: tuple[LandmarkChange, ...] = ()
+    wall_phase: int = 0
+    """The newest one of this exploration, from 1."""
+    following: Mapping[NodeId, int] = field(default_factory=dict)
+    """Who was told to follow walls and not yet to walk as before, and when that was decided."""
     interrupted: MissionPhase | None = None
     is_continued: bool = False
     reason: str = ""
@@ -77,4 +81,13 @@ class LetGo:
     decided_ns: int
 
 
-MissionStep: TypeAlias = Tell | Choose | MakeLandmark | LetGo
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowWalls:
+    """Tell a walking biobot to follow walls, by the name of when it was decided; ``is_over``: to walk as before."""
+
+    node: NodeId
+    decided_ns: int
+    is_over: bool
+
+
+MissionStep: TypeAlias = Tell | Choose | MakeLandmark | LetGo | FollowWalls

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from firmware_protocol.contract.records import Cause, EncounterRecord, Mode, ModeRecord, RecordIdentity
+from firmware_protocol.messages import LEAVE_RSSI, ConfigurationReport
 from firmware_protocol.units import NS_PER_S, NodeId, RssiDbm
 
 SETTLING_NS = 30 * NS_PER_S
@@ -128,3 +129,14 @@ class LandmarkWatch:
     def _is_at_the_edge(self, record: EncounterRecord, *, enter_dbm: RssiDbm | None) -> bool:
         heard = [side.rssi_dbm for side in record.sides if side.rssi_dbm != UNKNOWN_RSSI]
         return enter_dbm is not None and bool(heard) and max(heard) < enter_dbm + EDGE_DB
+
+
+def stands_by_command(record: ModeRecord) -> bool:
+    """Return whether a record says that its biobot stands now, by our command."""
+    return record.mode is Mode.S and record.cause is Cause.COMMAND and record.t_end_ns is None
+
+
+def threshold_of(*reports: ConfigurationReport | None) -> RssiDbm | None:
+    """Return at how much encounters of biobots begin that told these configurations; None: none has told it."""
+    found = [report.rssi_enter_dbm for report in reports if report is not None and report.rssi_enter_dbm != LEAVE_RSSI]
+    return RssiDbm(min(found)) if found else None

@@ -21,6 +21,7 @@ MAX_RUNNING_OF_ONE = 4
 """The same of one biobot: no more wait in a backpack (WIRE_FORMAT.md §6.8)."""
 
 _MAX_TTL_MS = 0xFFFF
+_TURNS = {StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT}
 
 _OVERTAKEN = Refused(
     refusal=Refusal.OVERTAKEN,
@@ -44,12 +45,13 @@ class Circumstances:
 
 
 def admit(request: StimulationRequest, *, table: StimulationTable, ledger: TrainLedger, so: Circumstances) -> Pulse | Refused:
-    """Return the train that a start or a turn may give now, or why it may not."""
+    """Return the train that a motion may give now, or why it may not."""
     node = so.node
     if node is None:
         return unknown_biobot(request)
     refused = (
         _why_unfit(node)
+        or _why_unable(node, request.action)
         or _why_late(request, table=table, now_wall_ns=so.now_wall_ns)
         or (_OVERTAKEN if so.is_overtaken else None)
         or why_unattended(request, is_stopping=so.is_stopping, is_commander_there=so.is_commander_there)
@@ -58,8 +60,8 @@ def admit(request: StimulationRequest, *, table: StimulationTable, ledger: Train
     )
     if refused is not None:
         return refused
-    pulse = pulse_of(request.pulse, table)
-    if pulse.duration_ms == 0 and request.action is not StimulationAction.START:
+    pulse = pulse_of(request.pulse, table, is_bare=request.action is StimulationAction.FOLLOW_WALLS)
+    if pulse.duration_ms == 0 and request.action in _TURNS:
         return Refused(refusal=Refusal.PULSE, reason="a turn without a train is none: duration_ms is 0; ask for 1 ms or more")
     refused = pulse_refusal(pulse, table=table, limits=node.limits)
     refused = refused or ledger.refusal(node.node, train_ms=pulse.duration_ms, now_ns=so.now_ns, announced=node.limits)
@@ -98,6 +100,13 @@ def _why_unfit(node: Node) -> Refused | None:
         )
         return Refused(refusal=Refusal.UNFIT_BIOBOT, reason=reason)
     return None
+
+
+def _why_unable(node: Node, action: StimulationAction) -> Refused | None:
+    if action is not StimulationAction.FOLLOW_WALLS or (node.is_introduced and node.capabilities & Capability.FOLLOW_WALLS):
+        return None
+    why = "its backpack does not say that it can" if node.is_introduced else "its backpack has not said since its start what it can"
+    return Refused(refusal=Refusal.UNFIT_BIOBOT, reason=f"biobot {node.node} is not told to follow walls: {why}; ask for start instead")
 
 
 def _why_late(request: StimulationRequest, *, table: StimulationTable, now_wall_ns: int) -> Refused | None:

@@ -1,6 +1,7 @@
 """Whether an insect did what it was told: the mode that its backpack reports within some seconds of a start or a stop.
 
-A turn shows in no mode. What no report speaks of in time is left open, and so is what the end of its hold or a further command cut short.
+To follow walls is a start; a turn shows in no mode. What no report speaks of in time is left open, and so is what the end of its hold or a
+further command cut short.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,7 @@ LATENCY_NS = 300 * NS_PER_MS
 ANSWERABLE_NS = 10 * NS_PER_S
 """A mode reported later than this may have other causes."""
 
-_WANTED = {StimulationAction.START: Mode.CRW, StimulationAction.STOP: Mode.S}
+_WANTED = {StimulationAction.START: Mode.CRW, StimulationAction.FOLLOW_WALLS: Mode.CRW, StimulationAction.STOP: Mode.S}
 _ANSWERED = frozenset({Stage.BIOBOT_CONFIRMED, Stage.UNKNOWN})
 
 

@@ -17,6 +17,7 @@ _ACTIONS = {
     StimulationAction.STOP_ALL: Action.STOP,
     StimulationAction.TURN_LEFT: Action.TURN_LEFT,
     StimulationAction.TURN_RIGHT: Action.TURN_RIGHT,
+    StimulationAction.FOLLOW_WALLS: Action.FOLLOW_WALLS,
 }
 
 

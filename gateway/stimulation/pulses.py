@@ -35,11 +35,13 @@ class Pulse:
     asked: frozenset[str] = field(default=frozenset(), compare=False)
 
 
-def pulse_of(request: PulseRequest | None, table: StimulationTable) -> Pulse:
-    """Return the train that a command means."""
+def pulse_of(request: PulseRequest | None, table: StimulationTable, *, is_bare: bool = False) -> Pulse:
+    """Return the train that a command means; one of a bare command has a train only where it asks for its duration."""
     wanted = {} if request is None else {name: getattr(request, name) for name in PulseRequest.__struct_fields__}
     asked = {name: value for name, value in wanted.items() if value is not None}
     values = {name: asked.get(name, getattr(table, name)) for name in PulseRequest.__struct_fields__}
+    if is_bare and "duration_ms" not in asked:
+        values["duration_ms"] = 0
     return Pulse(**values, asked=frozenset(asked))
 
 

@@ -55,7 +55,7 @@ class CommandBody(_Body):
     biobot: _Biobot | None = Field(
         default=None, description="Its id, as a number or as a decimal string (a program may not hold 64-bit numbers); none for stop_all"
     )
-    action: Literal["start", "stop", "turn_left", "turn_right", "stop_all"]
+    action: Literal["start", "stop", "turn_left", "turn_right", "follow_walls", "stop_all"]
     operator: Operator
     ttl_ms: int = Field(default=5_000, ge=1, le=60_000, description="Not carried out later than this after now; a stop always is")
     hold_ms: int = Field(

@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from typing import Final
 
+import msgspec
+
 from firmware_protocol.contract.commands import StimulationAccount
 from firmware_protocol.contract.mission_orders import MissionAnswer, MissionOrder
 from firmware_protocol.contract.records import MissionRecord, RecordHead
@@ -95,6 +97,7 @@ def view_order(order: MissionOrder, answers: Iterable[MissionAnswer]) -> dict[st
 
 def _view_phase(record: MissionRecord) -> dict[str, object]:
     told = {name: getattr(record, name) for name in record.__struct_fields__ if name not in _TOLD_OTHERWISE}
+    told = {name: value for name, value in told.items() if value is not msgspec.UNSET}
     return {"gateway": record.gateway, "t_start_wall_ns": record.t_start_ns + record.wall_anchor_ns, **told}
 
 

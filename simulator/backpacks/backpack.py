@@ -128,7 +128,7 @@ class Backpack:
         self._answer = self._settings.report(0, ConfigurationResult.DONE)
         self._has_told_start = False
         self._outbox = Outbox(biobot=node, seed=seed, config=config.outbox)
-        self._stimulator = Stimulator()
+        self._stimulator = Stimulator(can_follow_walls=config.can_follow_walls)
         self._logger = None if config.proximity is None else ProximityLogger(config=config.proximity)
         self._contacts: dict[NodeId, Contact] = {}
         self._buffer: deque[EncounterEntry] = deque()

@@ -30,6 +30,8 @@ class BackpackConfig:
         (its datasheet), so a 50 mAh cell lasts two hours.
     insect_obeys
         False where the insect cannot be made to do anything, as in a replay: commands are answered, and the mode stays what is sensed.
+    can_follow_walls
+        It can have its insect keep to walls, and says so in Hello.
     beacon_period_ms
         What Hello says of it [ms]; 0: encounters are sensed continuously.
     proximity
@@ -44,6 +46,7 @@ class BackpackConfig:
     spread_ms: int = 1_000
     battery_life_ms: int = 2 * 3_600_000
     insect_obeys: bool = True
+    can_follow_walls: bool = False
     firmware: int = 0x0001
     beacon_period_ms: int = 0
     proximity: ProximityConfig | None = None

@@ -40,11 +40,12 @@ class SelfDescription:
     def hello(self, *, beacon_period_ms: int) -> Hello:
         """Say who it is, and what it can do."""
         imu = Capability.IMU if self.has_imu else Capability(0)
+        walls = Capability.FOLLOW_WALLS if self.config.can_follow_walls else Capability(0)
         return Hello(
             eui64=self.eui64,
             firmware=self.config.firmware,
             beacon_period_ms=beacon_period_ms,
-            capabilities=Capability.STIMULATION | Capability.CONFIGURE | imu,
+            capabilities=Capability.STIMULATION | Capability.CONFIGURE | imu | walls,
         )
 
     def limits(self, *, now_ms: int) -> Limits:

@@ -58,6 +58,8 @@ class Outcome:
 class Stimulator:
     """Decides on commands.
 
+    ``can_follow_walls``: the backpack has that capability; without it, that action is answered BAD_PARAMETER.
+
     A stop is executed at once, whatever runs or waits and whatever its pulse parameters (unfit ones stop the insect without a
     train): what waits behind it is answered EXPIRED. Any other command waits while a pulse train runs, at most four of them, and is
     refused if it waits longer than its time to live. DONE says that the train was delivered, not that the insect responded to it. A
@@ -67,6 +69,7 @@ class Stimulator:
     remembered, so that a repetition is answered and not obeyed.
     """
 
+    can_follow_walls: bool = False
     _known: OrderedDict[int, Outcome] = field(default_factory=OrderedDict)
     _queue: deque[tuple[Stimulate, int]] = field(default_factory=deque)
     _train_until_ms: int = 0
@@ -86,7 +89,7 @@ class Stimulator:
             return [*overtaken, self._execute(command, now_ms=now_ms)]
         if any(one.command == command.command for one, _ in self._queue):
             return []  # its answer will come when it is decided
-        if not _is_well_formed(command) or (command.action is not Action.START and command.duration_ms == 0):
+        if not self._is_possible(command):
             return [self._decide(command, StimulationResult.BAD_PARAMETER, now_ms=now_ms)]
         if not _is_within_limits(command) or len(self._queue) >= _MAX_QUEUED:
             return [self._decide(command, StimulationResult.REFUSED_LIMIT, now_ms=now_ms)]
@@ -117,6 +120,12 @@ class Stimulator:
             dues.append(self._hold_until_ms)
         return min(dues, default=None)
 
+    def _is_possible(self, command: Stimulate) -> bool:
+        if command.action is Action.FOLLOW_WALLS and not self.can_follow_walls:
+            return False
+        is_turn = command.action in {Action.TURN_LEFT, Action.TURN_RIGHT}
+        return _is_well_formed(command) and not (is_turn and command.duration_ms == 0)
+
     def _end_hold(self, now_ms: int) -> Actuation:
         was_held_still, self._is_held_still = self._is_held_still, not self._is_held_still
         self._hold_until_ms = None
@@ -132,7 +141,7 @@ class Stimulator:
         match command.action:
             case Action.STOP:
                 mode, self._is_held_still = WireMode.S, True
-            case Action.START:
+            case Action.START | Action.FOLLOW_WALLS:
                 mode, self._is_held_still = WireMode.CRW, False
             case Action.TURN_LEFT | Action.TURN_RIGHT:
                 pass  # an insect that is held still stays so, whatever it feels

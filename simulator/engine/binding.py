@@ -66,6 +66,7 @@ _FUNCTIONS = {
     "engine_stop": (c_int32, (c_void_p, c_int32, c_int32)),
     "engine_go": (c_int32, (c_void_p, c_int32, c_int32)),
     "engine_turn": (c_int32, (c_void_p, c_int32, c_double, c_double)),
+    "engine_follow_walls": (c_int32, (c_void_p, c_int32, c_int32)),
     "engine_silence": (c_int32, (c_void_p, c_int32)),
     "engine_modes": (None, (c_void_p, c_void_p, c_void_p)),
     "engine_current_legs": (None, (c_void_p, c_void_p)),

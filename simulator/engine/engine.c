@@ -175,6 +175,21 @@ int engine_stop(engine *e, int32_t row, int32_t cause) {
     one->is_held = 1;
     tell_mode(e, row, e->now, 1, cause);
     if (one->activity != STUCK && one->activity != DEAD) halt(e, row, e->now, HELD);
+    engine_follow_walls(e, row, 0);
+    return e->has_failed ? -1 : 0;
+}
+
+/* Let an insect keep to the walls that it meets from now on, or not. One that walks along a wall by command alone departs when it need not. */
+int engine_follow_walls(engine *e, int32_t row, int32_t follows) {
+    insect *one = &e->insect[row];
+    if (one->follows_walls == (follows != 0)) return 0;
+    one->follows_walls = follows != 0;
+    if (law_of(e, one) == LAW_FOLLOW) return 0;
+    if (one->resume == FOLLOW) one->resume = WALK;
+    if (one->activity == FOLLOW) {
+        settle(e, one, e->now);
+        depart(e, row, e->now);
+    }
     return e->has_failed ? -1 : 0;
 }
 

@@ -55,6 +55,7 @@ int engine_replace_walls(engine *e, int32_t n, const double *start, const double
 int engine_stop(engine *e, int32_t row, int32_t cause);
 int engine_go(engine *e, int32_t row, int32_t cause);
 int engine_turn(engine *e, int32_t row, double turns, double distance);
+int engine_follow_walls(engine *e, int32_t row, int32_t follows);
 int engine_silence(engine *e, int32_t row);
 void engine_modes(const engine *e, int32_t *mode, int32_t *cause);
 void engine_current_legs(const engine *e, engine_leg *legs);

@@ -139,6 +139,10 @@ class Engine:
         """Turn an insect by part of a full turn (left is positive) and send it straight on; 0 as distance: a leg as drawn."""
         return self._check(self._library.engine_turn(self._handle, row, turns, distance), at_s=at_s) > 0
 
+    def follow_walls(self, row: int, *, follows: bool, at_s: float) -> None:
+        """Let an insect keep to the walls that it meets, or live by the law of all again."""
+        self._check(self._library.engine_follow_walls(self._handle, row, int(follows)), at_s=at_s)
+
     def silence(self, row: int, *, at_s: float) -> None:
         """Switch a backpack off."""
         self._check(self._library.engine_silence(self._handle, row), at_s=at_s)

@@ -19,7 +19,7 @@ static void end_leg(engine *e, int32_t i, double t) {
         one->sense = one->next_sense;
         one->passed_wall = one->next_passed;
         follow(e, i, t);
-    } else if (e->config.wall_law == LAW_FOLLOW && one->touched >= 0) {
+    } else if (law_of(e, one) == LAW_FOLLOW && one->touched >= 0) {
         meet_wall(e, i, t);
     } else {
         walk(e, i, t, 0.0, 0.0, 0.0);
@@ -68,7 +68,7 @@ void fall_silent(engine *e, int32_t i, double t) {
     schedule(e, i, t);
 }
 
-static void depart(engine *e, int32_t i, double t) {
+void depart(engine *e, int32_t i, double t) {
     insect *one = &e->insect[i];
     const engine_config *c = &e->config;
     const wall *mine = &e->walls.wall[one->wall];

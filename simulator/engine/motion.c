@@ -22,7 +22,7 @@ static void draw_direction(const engine *e, const insect *one, double *dx, doubl
     const engine_config *c = &e->config;
     double u = draw_uniform(e, one, DIRECTION, one->leg_number), cosine, sine;
     if (one->normal_x != 0.0 || one->normal_y != 0.0) {
-        if (c->wall_law == LAW_COSINE) {
+        if (law_of(e, one) == LAW_COSINE) {
             sine = 2.0 * u - 1.0;
             cosine = sqrt(1.0 - sine * sine);
         } else {
@@ -68,7 +68,7 @@ void walk(engine *e, int32_t i, double t, double forced_x, double forced_y, doub
         int is_forced = tries == 0 && (forced_x != 0.0 || forced_y != 0.0);
         if (is_forced)
             dx = forced_x, dy = forced_y;
-        else if (e->config.wall_law == LAW_MIRROR && (one->normal_x != 0.0 || one->normal_y != 0.0) && tries < MOST_TURNS_AT_WALL)
+        else if (law_of(e, one) == LAW_MIRROR && (one->normal_x != 0.0 || one->normal_y != 0.0) && tries < MOST_TURNS_AT_WALL)
             mirror(one, &dx, &dy);
         else
             draw_direction(e, one, &dx, &dy);

@@ -40,7 +40,7 @@ static int pass_links(tape *tape, links *all) {
     return 0;
 }
 
-static const uint64_t MARK = 0x62696f626f740002u; /* a word that also tells the byte order, and the version of the layout */
+static const uint64_t MARK = 0x62696f626f740003u; /* a word that also tells the byte order, and the version of the layout */
 
 /* Sizes of what crosses the border, for binding.py to compare with its own. */
 int64_t engine_layout(void) { return (int64_t)(10000 * sizeof(engine_config) + 100 * sizeof(engine_event) + sizeof(engine_leg)); }
@@ -121,6 +121,7 @@ static int is_sound_insect(const engine *e, int32_t i) {
     if (one->cell < 0 || one->cell >= e->columns * (int64_t)e->rows || one->cell != cell_of(e, one->column, one->row)) return 0;
     if (!is_row(e, one->place_in_heap) || e->order[one->place_in_heap].i != i) return 0;
     if (!is_wall_or_none(e, one->wall) || !is_wall_or_none(e, one->passed_wall) || !is_wall_or_none(e, one->touched)) return 0;
+    if (one->follows_walls < 0 || one->follows_walls > 1) return 0;
     if (one->activity == FOLLOW || one->resume == FOLLOW)
         if (one->wall < 0 || one->next_wall < 0 || one->next_wall >= e->expected_walls || !is_wall_or_none(e, one->next_passed)) return 0;
     return are_sound(e, &one->near, i) && are_sound(e, &one->close, i);

@@ -53,6 +53,8 @@ typedef struct {
     int32_t activity, resume, is_held, is_silent, cause, own_kind;
     int32_t neighbours;
     int32_t place_in_heap;
+    int32_t follows_walls; /* by command, whatever the law of all */
+    int32_t unused; /* no bytes of chance in snapshots */
     links near, close;
 } insect;
 
@@ -89,6 +91,9 @@ struct engine {
     int64_t n_steps;
     int has_failed; /* memory ran out */
 };
+
+/* What a free leg that ends at a wall is followed by. */
+static inline int law_of(const engine *e, const insect *one) { return one->follows_walls ? LAW_FOLLOW : e->config.wall_law; }
 
 static inline double least(double a, double b) { return a < b ? a : b; }
 static inline double most(double a, double b) { return a > b ? a : b; }
@@ -168,6 +173,7 @@ void resume(engine *e, int32_t i, double t);
 /* happenings.c */
 void halt(engine *e, int32_t i, double t, int activity);
 void fall_silent(engine *e, int32_t i, double t);
+void depart(engine *e, int32_t i, double t);
 void own_event(engine *e, int32_t i);
 void pair_event_happens(engine *e, const pair_event *event);
 void find_company(engine *e, int32_t i, int32_t j, double t);

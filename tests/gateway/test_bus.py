@@ -18,11 +18,12 @@ from gateway.bus_client import send_order
 from gateway.bus_commands import CommandAnswer, OrderAnswer
 from gateway.bus_presence import CommanderDoor
 from gateway.bus_session import open_client, open_service
+from gateway.bus_standing import ServiceSession, StandingDeclarations
 from gateway.health import Health
 from gateway.journal import Journal
 from gateway.journal_file import JournalWrite
 from tests.gateway.fake_radio import until
-from tests.gateway.harness import a_config, a_request, peer_config
+from tests.gateway.harness import a_config, a_request, free_port, peer_config
 from tests.gateway.makers import a_mode_record
 from tests.gateway.test_control_book import a_stage
 
@@ -201,5 +202,34 @@ def test_a_mapper_that_says_how_far_it_has_come_is_remembered_over_a_restart(tmp
         again = Journal.open(path, health=health)
         assert dict(again.watermarks) == {"m1": 2}
         again.close()
+
+    asyncio.run(story())
+
+
+def test_what_was_declared_and_taken_back_before_there_was_a_session_is_made_once() -> None:
+    """A radio that flaps while nobody is there to connect to."""
+
+    async def story() -> None:
+        port, made = free_port(), 0
+
+        def make(session: zenoh.Session) -> zenoh.LivelinessToken:
+            nonlocal made
+            made += 1
+            return session.liveliness().declare_token("test/radio")
+
+        session = ServiceSession(listen=(), connect=(f"tcp/127.0.0.1:{port}",), tls=TlsTable())
+        standing = StandingDeclarations(session)
+        for _ in range(20):
+            standing.declare("radio", make)
+            standing.undeclare("radio")
+        standing.declare("radio", make)
+        with open_service(listen=(f"tcp/127.0.0.1:{port}",), connect=(), tls=TlsTable()) as router:
+            everyone = router.liveliness()
+            await until(lambda: bool(list(everyone.get("test/radio", timeout=0.5))), what="the token is seen")
+            assert made == 1
+            standing.undeclare("radio")
+            await until(lambda: not list(everyone.get("test/radio", timeout=0.5)), what="the token is gone")
+            standing.close()
+            session.close()
 
     asyncio.run(story())

@@ -37,6 +37,15 @@ def tell(book: ControlBook, request: StimulationRequest, *stages: Stage, now_ns:
         book.note(request, a_stage(request, stage), now_ns=now_ns)
 
 
+def test_to_follow_walls_is_a_start() -> None:
+    """With a commander or a hold it is controlled motion, and without either it ends what was."""
+    book = ControlBook()
+    tell(book, a_command(1, StimulationAction.FOLLOW_WALLS, hold_ms=500), Stage.ACCEPTED, Stage.BIOBOT_CONFIRMED)
+    assert [control.command_id for control in book.overdue(now_ns=500 * NS_PER_MS)] == ["c1"]
+    tell(book, a_command(2, StimulationAction.FOLLOW_WALLS), Stage.ACCEPTED)
+    assert not book.controlled
+
+
 def test_a_stop_ends_control_when_the_biobot_confirms_it_and_not_before() -> None:
     book = ControlBook()
     tell(book, a_command(1, StimulationAction.START, commander="ann"), Stage.ACCEPTED, Stage.BIOBOT_CONFIRMED)
@@ -108,7 +117,7 @@ class Obvious:
             elif not is_stop and stage is Stage.ACCEPTED and reached:
                 if request.commander or request.hold_ms:
                     current = request.command_id
-                elif request.action is StimulationAction.START:
+                elif request.action in {StimulationAction.START, StimulationAction.FOLLOW_WALLS}:
                     current = None
         return current
 

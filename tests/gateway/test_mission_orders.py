@@ -2,14 +2,15 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Collection, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import CommandStage, PulseRequest, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.mission_orders import MissionAction, MissionAnswer, MissionOrder
 from firmware_protocol.contract.records import (
     Cause,
@@ -20,7 +21,7 @@ from firmware_protocol.contract.records import (
     ModeRecord,
     NeighbourEntry,
 )
-from firmware_protocol.messages import Status, WireCause, WireMode
+from firmware_protocol.messages import Capability, Hello, Status, WireCause, WireMode
 from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.config import MissionTable
 from gateway.health import Health
@@ -83,7 +84,9 @@ def say(nodes: NodeBook, node: int, *, mode: WireMode = WireMode.CRW, battery_mv
 
 
 @asynccontextmanager
-async def a_mission(path: Path, gate: Obeying, **config: object) -> AsyncIterator[tuple[Mission, NodeBook, Journal]]:
+async def a_mission(
+    path: Path, gate: Obeying, *, controlled: Collection[NodeId] = (), **config: object
+) -> AsyncIterator[tuple[Mission, NodeBook, Journal]]:
     """Run a mission on a journal; it is killed at exit, and what waits for the disk is lost."""
     health, nodes = Health(), NodeBook(gateway="g")
     journal = Journal.open(path, health=health)
@@ -101,6 +104,7 @@ async def a_mission(path: Path, gate: Obeying, **config: object) -> AsyncIterato
         health=health,
         note=gate.note,
         on_event=lambda _level, kind, facts: gate.events.append((kind, facts)),
+        controlled=lambda: controlled,
     )
     journal.listen(mission.take_records)
     running = [asyncio.ensure_future(journal.run()), asyncio.ensure_future(mission.run())]
@@ -270,5 +274,57 @@ def test_what_the_journal_commits_convicts_a_landmark_that_wanders_and_doubts_on
             await until(lambda: len(mission.state.landmarks) == 3, what="another one stands for it")
             assert wanderer not in mission.state.landmarks
             assert ("landmark.doubt", "", one) in gate.notes
+
+    asyncio.run(story())
+
+
+def let_follow(nodes: NodeBook, node: int) -> None:
+    """Have a biobot walk, and its backpack able to have it follow walls."""
+    known = nodes.find(NodeId(node))
+    assert known is not None
+    nodes.introduce(known, Hello(eui64=node, firmware=1, beacon_period_ms=0, capabilities=Capability.STIMULATION | Capability.FOLLOW_WALLS))
+    known.mode = a_spell(node)
+
+
+def a_spell(node: int, *, mode: Mode = Mode.CRW, cause: Cause = Cause.NATURAL) -> ModeRecord:
+    return ModeRecord(
+        gateway="g", journal="j", offset=1, boot=BootId(1), sequence=node, revision=0, wall_anchor_ns=Nanoseconds(0), node=NodeId(node),
+        mode=mode, cause=cause, t_start_ns=Nanoseconds(0), t_end_ns=None, error_ns=Nanoseconds(0),
+    )  # fmt: skip
+
+
+def test_in_a_wall_phase_those_who_can_and_are_free_follow_walls_without_a_train_and_a_killed_one_ends_all_the_same(tmp_path: Path) -> None:
+    """Biobot 2 cannot, 3 is steered by somebody, and one is the landmark: of six, three are told, and told when it is over."""
+
+    async def story() -> None:
+        gate, again = Obeying(), Obeying()
+        walls, start = StimulationAction.FOLLOW_WALLS, StimulationAction.START
+        config: dict[str, Any] = {"n_landmarks": 1, "dispersion_s": 0, "wall_following_every_s": 1.0, "wall_following_s": 0.5}
+        async with a_mission(tmp_path / "j", gate, controlled={NodeId(3)}, **config) as (mission, nodes, journal):
+            for node in (1, 3, 4, 5, 6):
+                let_follow(nodes, node)
+            await mission.handle_order(an_order(MissionAction.START))
+            await until(lambda: mission.state.phase is MissionPhase.EXPLORATION, what="the landmark stands")
+            (landmark,) = mission.state.landmarks
+            free = {1, 4, 5, 6} - {int(landmark)}
+            await until(lambda: gate.told(start) >= free, what="a wall phase was over")
+            assert gate.told(walls) == free
+            assert gate.told(start) == free
+            assert {request.pulse for request in gate.given if request.action in {walls, start}} == {PulseRequest(duration_ms=0)}
+            await until(lambda: mission.state.following.keys() == free and "begun" in mission.state.reason, what="another one has begun")
+            number = mission.state.wall_phase
+            shown = await mission.handle_order(an_order(MissionAction.SHOW))
+            assert f"; wall phase {number} has begun: {len(free)} biobots" in shown.reason
+            assert ("mission.walls", "", None) in gate.notes
+            stopped = min(free)
+            stop = StimulationRequest(
+                command_id="s", node=NodeId(stopped), action=StimulationAction.STOP, operator="ann", issued_wall_ns=Nanoseconds(0)
+            )
+            mission.on_stage(stop, stage_of(stop, Stage.ACCEPTED))
+            assert mission.state.following.keys() == free - {stopped}
+            await journal.drain()
+        async with a_mission(tmp_path / "j", again, controlled=set(), **config) as (mission, nodes, _):
+            await until(lambda: again.told(start) >= free - {stopped}, what="it is over in the next process too")
+            assert stopped not in again.told(start), "whom an operator stopped is not let go by the mission"
 
     asyncio.run(story())

@@ -7,14 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.contract.mission_orders import MissionAction
-from firmware_protocol.contract.records import MissionPhase
+from firmware_protocol.contract.records import MissionPhase, encode_record
 from firmware_protocol.landmarks import choose_landmarks
-from firmware_protocol.units import NS_PER_S, NodeId
+from firmware_protocol.units import NS_PER_S, BootId, Nanoseconds, NodeId
 from gateway.config import MissionTable
+from gateway.issuer import RecordIssuer
 from gateway.mission import MissionPlanner
 from gateway.mission.candidates import Candidates, choose, choose_next
 from gateway.mission.planner import POSSIBLE, REST_NS
-from gateway.mission.steps import Choose, LetGo, MakeLandmark, MissionState, MissionStep, Tell
+from gateway.mission.states import record_phase
+from gateway.mission.steps import Choose, FollowWalls, LetGo, MakeLandmark, MissionState, MissionStep, Tell
 
 _ALL = tuple(NodeId(node) for node in range(1, 11))
 _ROW = {int(node): frozenset({node - 1, node + 1}) & frozenset(_ALL) for node in _ALL}
@@ -34,6 +36,7 @@ class Swarm:
     """Asked to stand still, and not settled yet."""
     asked: list[NodeId] = field(default_factory=list)
     let_go: list[NodeId] = field(default_factory=list)
+    walls: list[FollowWalls] = field(default_factory=list)
     written: list[MissionState] = field(default_factory=list)
 
     @property
@@ -67,11 +70,27 @@ class Swarm:
                     self.asked.append(node)
                 case LetGo(node=node):
                     self.let_go.append(node)
+                case FollowWalls():
+                    self.walls.append(step)
 
     def tick(self, *, after_s: float = 0.0, is_graph_known: bool = True, n_known: int | None = None) -> None:
         self.now_s += after_s
         known = len(self.members) if n_known is None else n_known
-        self.take(self.planner.tick(now_ns=self.now_ns, n_known=known, is_graph_known=is_graph_known, pick=self.pick))
+        steps = self.planner.tick(
+            now_ns=self.now_ns, n_known=known, is_graph_known=is_graph_known, pick=self.pick, followers=self.followers
+        )
+        self.take(steps)
+
+    def followers(self) -> list[NodeId]:
+        return [node for node in self.members if node not in self.state.landmarks | self.state.awaited]
+
+    def told(self) -> list[tuple[NodeId, bool]]:
+        """Return who was told to follow walls (or that it is over) since this was asked last, and let them have obeyed."""
+        told, self.walls = self.walls, []
+        for step in told:
+            if step.is_over:
+                self.take(self.planner.leave_walls(step.node, decided_ns=step.decided_ns))
+        return [(step.node, step.is_over) for step in told]
 
     def settle(self, node: NodeId, *, is_standing: bool) -> None:
         self.take(self.planner.settle(node, is_standing=is_standing, reason="", now_ns=self.now_ns, wall_ns=_WALL_NS))
@@ -365,6 +384,7 @@ def _apply(swarm: Swarm, kind: str, value: object) -> Swarm:
             swarm.take(steps)
         case "released", int(index):
             planner.released(_ALL[index])
+            swarm.take(planner.leave_walls(_ALL[index]))
         case "stands", int(index):
             swarm.take(planner.stands_after_all(_ALL[index], now_ns=swarm.now_ns))
         case "restart", _:
@@ -379,21 +399,124 @@ def _apply(swarm: Swarm, kind: str, value: object) -> Swarm:
 @given(is_enabled=st.booleans(), events=st.lists(_events, max_size=60))
 def test_from_any_state_any_event_leads_to_a_known_state(is_enabled: bool, events: list[tuple[str, object]]) -> None:
     """And whoever is commanded is so by a state that is on disk, and by one that commands."""
-    swarm = a_swarm(is_enabled=is_enabled, n_landmarks=3, exploration_s=300, redisperse_every_s=120)
+    swarm = a_swarm(
+        is_enabled=is_enabled, n_landmarks=3, exploration_s=300, redisperse_every_s=120, wall_following_every_s=40, wall_following_s=15
+    )
     for kind, value in events:
-        n_asked, n_let_go = len(swarm.asked), len(swarm.let_go)
+        n_asked, n_let_go, n_walls = len(swarm.asked), len(swarm.let_go), len(swarm.walls)
         before = swarm
         swarm = _apply(swarm, kind, value)
         if swarm is not before:
-            n_asked = n_let_go = 0
+            n_asked = n_let_go = n_walls = 0
         state = swarm.state
         assert state.phase in POSSIBLE
         assert (state.interrupted is not None) == (state.phase is MissionPhase.PAUSED)
         assert not state.landmarks & state.awaited
         assert state.elapsed_ns(swarm.now_ns) >= 0
-        commanded = swarm.asked[n_asked:], swarm.let_go[n_let_go:]
+        commanded = swarm.asked[n_asked:], swarm.let_go[n_let_go:], swarm.walls[n_walls:]
         if any(commanded):
             assert state.phase not in {MissionPhase.PAUSED, MissionPhase.IDLE}
             on_disk = swarm.written[-1]
             assert set(commanded[0]) <= on_disk.awaited | on_disk.landmarks
             assert set(commanded[1]) <= on_disk.releasing.keys()
+            assert all(on_disk.following[step.node] == step.decided_ns for step in commanded[2])
+
+
+WALLS = {"n_landmarks": 2, "wall_following_every_s": 100, "wall_following_s": 30}
+
+
+def test_walls_are_followed_every_so_often_for_so_long_by_those_who_walk() -> None:
+    swarm = exploring(**WALLS)
+    walking = swarm.followers()
+    for number in (1, 2):
+        swarm.tick(after_s=99 if number == 1 else 69)
+        assert swarm.told() == []
+        swarm.tick(after_s=1)
+        assert swarm.told() == [(node, False) for node in walking]
+        assert swarm.state.reason.endswith(f"stand; wall phase {number} has begun: 8 biobots are told to follow walls")
+        swarm.tick(after_s=29)
+        assert swarm.told() == []
+        swarm.tick(after_s=1)
+        assert swarm.told() == [(node, True) for node in walking]
+        assert swarm.state.reason.endswith(f"landmarks stand; wall phase {number} is over")
+        assert not swarm.state.following
+
+
+def test_without_the_option_nobody_follows_walls_and_nothing_is_written_of_it() -> None:
+    swarm = exploring(n_landmarks=2)
+    n_written = len(swarm.written)
+    for _ in range(50):
+        swarm.tick(after_s=50)
+    assert (swarm.walls, len(swarm.written)) == ([], n_written)
+    record = record_phase(
+        swarm.state, issuer=RecordIssuer(gateway="g", journal="j", boot=BootId(1), wall_anchor_ns=Nanoseconds(0)), now_ns=1
+    )
+    assert b"walls" not in encode_record(record)
+
+
+def test_a_wall_phase_outlives_the_process_and_ends_at_its_time() -> None:
+    """Killed in it, the same biobots are told by the same names, and at its end by one name, however often it is killed."""
+    swarm = exploring(**WALLS)
+    swarm.tick(after_s=110)
+    first = list(swarm.walls)
+    swarm = swarm.restart()
+    assert swarm.walls == first
+    swarm.tick(after_s=10)
+    assert swarm.walls == first
+    swarm = swarm.restart()
+    swarm.walls.clear()
+    swarm.tick(after_s=20)
+    last = list(swarm.walls)
+    assert {(step.node, step.decided_ns) for step in last} == {(step.node, step.decided_ns) for step in first}
+    swarm = swarm.restart()
+    swarm.tick()
+    assert swarm.walls == last
+    swarm.told()
+    swarm.tick()
+    assert swarm.restart().walls == []
+
+
+def test_a_paused_wall_phase_tells_nobody_anything_and_goes_on_for_what_was_left_of_it() -> None:
+    swarm = exploring(**WALLS)
+    swarm.tick(after_s=110)
+    told = swarm.told()
+    assert swarm.order(MissionAction.PAUSE) is None
+    swarm.tick(after_s=500)
+    assert swarm.told() == []
+    assert swarm.order(MissionAction.RESUME) is None
+    assert swarm.told() == told, "by the names that they had"
+    swarm.tick(after_s=19)
+    assert swarm.told() == []
+    swarm.tick(after_s=1)
+    assert {is_over for _, is_over in swarm.told()} == {True}
+
+
+def test_who_is_commanded_by_somebody_else_or_stands_is_told_nothing_more_of_walls() -> None:
+    swarm = exploring(**WALLS)
+    swarm.tick(after_s=110)
+    steps = {step.node: step for step in swarm.walls}
+    steered, asked, *_ = steps
+    swarm.take(swarm.planner.leave_walls(steered))
+    swarm.lose(min(swarm.state.landmarks))
+    while swarm.state.awaited != {asked}:  # until that one is to take its place
+        swarm.tick(after_s=1)
+        asked = next(iter(swarm.state.awaited), asked)
+    assert not swarm.planner.follows(steps[steered], now_ns=swarm.now_ns)
+    assert not swarm.planner.follows(steps[asked], now_ns=swarm.now_ns)
+    free = next(node for node in steps if node not in {steered, asked})
+    assert swarm.planner.follows(steps[free], now_ns=swarm.now_ns)
+    swarm.walls.clear()
+    swarm.tick(after_s=30)
+    assert steered not in {step.node for step in swarm.walls}
+    assert not swarm.planner.follows(steps[free], now_ns=swarm.now_ns), "its time is over"
+
+
+def test_a_stop_of_all_ends_the_following_of_walls() -> None:
+    swarm = exploring(**WALLS)
+    swarm.tick(after_s=110)
+    swarm.take(swarm.planner.stop_all(operator="ann", walking=swarm.followers(), now_ns=swarm.now_ns))
+    swarm.walls.clear()
+    assert swarm.order(MissionAction.RESUME) is None
+    swarm.tick(after_s=50)
+    assert swarm.walls == []
+    assert set(swarm.let_go) == set(swarm.followers())

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.records import Mode
-from firmware_protocol.messages import StimulateReply, StimulationResult, WireMode
+from firmware_protocol.messages import Action, Capability, Hello, StimulateReply, StimulationResult, WireMode
 from firmware_protocol.units import EVERYBODY, BootId, Milliseconds, Nanoseconds, NodeId, ShortAddress
 from gateway.config import StimulationTable
 from gateway.journal_file import JournalReader, JournalWrite
@@ -193,6 +193,28 @@ def test_a_biobot_not_heard_since_the_start_is_stopped_and_never_stimulated(tmp_
         assert _told(await site.stages(6, _STOP))[-1] is Stage.BIOBOT_CONFIRMED
 
     _run(tmp_path / "j", story=story)
+
+
+def test_walls_are_followed_without_a_train_unless_one_is_asked_for_and_by_nobody_who_cannot(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        walls = StimulationAction.FOLLOW_WALLS
+        for node, capabilities in ((5, Capability.STIMULATION | Capability.FOLLOW_WALLS), (6, Capability.STIMULATION)):
+            known = site.nodes.find(NodeId(node))
+            assert known is not None
+            site.nodes.introduce(known, Hello(eui64=node, firmware=1, beacon_period_ms=0, capabilities=capabilities))
+        for node in (6, 7):  # one says that it cannot, one has said nothing
+            (refused,) = await site.stages(node, walls)
+            assert refused.refusal is Refusal.UNFIT_BIOBOT
+            assert "follow walls" in refused.reason
+        assert site.air.frames == []
+        assert _told(await site.stages(5, walls))[-1] is Stage.BIOBOT_CONFIRMED
+        assert _told(await site.stages(5, walls, pulse=PulseRequest(duration_ms=300)))[-1] is Stage.BIOBOT_CONFIRMED
+        (refused,) = await site.stages(5, walls, pulse=PulseRequest(duration_ms=300))
+        assert refused.refusal is Refusal.GAP, "a train is a train"
+        assert _told(await site.stages(5, walls))[-1] is Stage.BIOBOT_CONFIRMED, "what gives none waits for none"
+        assert [(one.action, one.duration_ms) for one in site.air.sent_to(5)] == [(Action.FOLLOW_WALLS, ms) for ms in (0, 300, 0)]
+
+    _run(tmp_path / "j", 5, 6, 7, story=story)
 
 
 def test_a_commander_that_is_not_there_gets_nothing_but_stops(tmp_path: Path) -> None:

@@ -46,6 +46,10 @@ class ScriptedWorld:
     def start(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
         return self._change(biobot_id, Mode.CRW, cause)
 
+    def follow_walls(self, biobot_id: int, *, cause: Cause = Cause.COMMAND) -> bool:
+        self.done.append((self.now_s, "walls", biobot_id, 0.0))
+        return self._change(biobot_id, Mode.CRW, cause)
+
     def turn(self, biobot_id: int, angle_rad: float) -> bool:
         self.done.append((self.now_s, "turn", biobot_id, angle_rad))
         return biobot_id not in self.stuck

@@ -489,6 +489,21 @@ def test_a_backpack_with_an_imu_tells_the_path_between_encounters_in_batches_of_
     assert hello.capabilities == Capability.STIMULATION | Capability.IMU | Capability.CONFIGURE
 
 
+def test_walls_are_followed_only_where_the_backpack_says_that_it_can() -> None:
+    """With the capability it is done like a start, with or without a train; without it, it is a bad parameter (WIRE_FORMAT.md 6.5)."""
+    for can in (False, True):
+        backpack = a_backpack(spread_ms=0, can_follow_walls=can)
+        done = [actuations(hear(backpack, a_command(n, Action.FOLLOW_WALLS, duration_ms=ms), now_ms=n)) for n, ms in ((1, 0), (2, 300))]
+        told = said(backpack.poll(now_ms=10))
+        (hello,) = [one for one in told if isinstance(one, Hello)]
+        assert bool(hello.capabilities & Capability.FOLLOW_WALLS) is can
+        wanted = StimulationResult.DONE if can else StimulationResult.BAD_PARAMETER
+        assert [one.result for one in told if isinstance(one, StimulateReply)] == [wanted, wanted]
+        assert [[(one.mode, one.action, one.train is None) for one in each] for each in done] == (
+            [[(WireMode.CRW, Action.FOLLOW_WALLS, True)], [(WireMode.CRW, Action.FOLLOW_WALLS, False)]] if can else [[], []]
+        )
+
+
 @pytest.mark.parametrize("action", [Action.TURN_LEFT, Action.TURN_RIGHT])
 def test_a_turn_is_done_once_its_train_is_delivered_and_leaves_the_mode_to_the_insect(action: Action) -> None:
     backpack = a_backpack(spread_ms=10**9)
@@ -508,10 +523,10 @@ def test_a_turn_does_not_end_the_hold_of_a_stop() -> None:
     assert [one.mode for one in actuations(backpack.poll(now_ms=5_000))] == [WireMode.CRW]
 
 
-@given(action=st.sampled_from([Action.START, Action.TURN_LEFT, Action.TURN_RIGHT]), hold_ms=st.integers(1, 100_000), stands=st.booleans())
-def test_the_end_of_the_hold_of_a_start_or_turn_stops_the_insect_without_a_train(action: Action, hold_ms: int, stands: bool) -> None:
+@given(action=st.sampled_from([one for one in Action if one is not Action.STOP]), hold_ms=st.integers(1, 100_000), stands=st.booleans())
+def test_the_end_of_the_hold_of_a_motion_stops_the_insect_without_a_train(action: Action, hold_ms: int, stands: bool) -> None:
     """Who controlled the motion has gone: it must not go on (WIRE_FORMAT.md section 6.8). It stands until it is started."""
-    backpack = a_backpack(spread_ms=10**9)
+    backpack = a_backpack(spread_ms=10**9, can_follow_walls=True)
     backpack.quieten()
     hear(backpack, a_command(1, action, hold_ms=hold_ms), now_ms=100)
     if stands:

@@ -17,7 +17,7 @@ SURE = ResponseConfig(probability=1.0, probability_habituated=1.0, turn_spread=0
 
 
 def an_actuation(action: Action, *, command: int = 1, has_train: bool = True) -> Actuation:
-    mode = {Action.STOP: WireMode.S, Action.START: WireMode.CRW}.get(action)
+    mode = {Action.STOP: WireMode.S, Action.START: WireMode.CRW, Action.FOLLOW_WALLS: WireMode.CRW}.get(action)
     train = a_command(command, action) if has_train else None
     return Actuation(mode=mode, cause=WireCause.COMMAND, command=command, action=action, train=train)
 
@@ -72,6 +72,18 @@ def test_a_start_lets_the_insect_go_at_once_and_makes_it_run_so_many_centimetres
     assert verb == "run"
     assert 0.156 <= distance * metres_per_unit <= 0.256
     assert story.steering.executed[0].run == pytest.approx(distance, abs=1e-6)
+
+
+def test_walls_are_followed_at_once_and_a_train_makes_the_insect_run_as_that_of_a_start_does() -> None:
+    story = Story()
+    story.actuate(an_actuation(Action.FOLLOW_WALLS, has_train=False), at_s=0.0)
+    assert (story.world.done, story.steering.next_due_ns()) == ([(0.0, "walls", 3, 0.0), (0.0, "CRW", 3, 0.0)], None)
+    story.actuate(an_actuation(Action.FOLLOW_WALLS, command=2), at_s=1.0)
+    story.react()
+    assert [verb for _, verb, _, _ in story.world.done[2:]] == ["walls", "CRW", "run"]
+    story.actuate(an_actuation(Action.START, command=3, has_train=False), at_s=9.0)
+    assert [verb for _, verb, _, _ in story.world.done[5:]] == ["CRW"]
+    assert [one.action for one in story.steering.executed] == ["follow_walls", "follow_walls", "start"]
 
 
 def test_a_stop_cancels_what_the_insect_had_not_yet_done() -> None:

@@ -26,7 +26,7 @@
 
 enum mode { CRW = 0, S = 1 };
 enum cause { NATURAL = 0, COMMAND = 1 };
-enum action { START = 1, STOP = 2 };
+enum action { START = 1, STOP = 2, FOLLOW_WALLS = 5 };
 enum configuration_result { CONFIGURED = 0, NOT_SUPPORTED = 2 };
 enum verdict { FIT, UNFIT, BEYOND_LIMITS };
 
@@ -147,6 +147,9 @@ static enum verdict judge(const struct bb_stimulate *command)
     /* Of the waveforms it knows the symmetric one alone, so a monophasic pulse of any length is beyond its limits. */
     uint32_t most = command->waveform == 2u ? 2u * MOST_BIPHASIC : MOST_BIPHASIC;
     uint32_t product = (uint32_t)command->pulse_width_us * command->frequency_hz;
+    if (command->action == FOLLOW_WALLS) {
+        return UNFIT; /* no capability of this backpack */
+    }
     if (command->duration_ms == 0u) {
         return command->action <= STOP ? FIT : UNFIT; /* a start or stop without a train */
     }

@@ -138,6 +138,14 @@ def test_unfit_pulses_are_bad_parameters_and_trains_beyond_the_limits_are_refuse
     assert results(pack.command(1, Action.TURN_LEFT, **changes)) == {1: result}
 
 
+@pytest.mark.parametrize("duration_ms", [0, 300])
+def test_walls_are_followed_by_no_backpack_without_that_capability(bench: ctypes.CDLL, duration_ms: int) -> None:
+    pack = Pack(bench)
+    pack.listen()
+    assert results(pack.command(1, Action.FOLLOW_WALLS, duration_ms=duration_ms)) == {1: StimulationResult.BAD_PARAMETER}
+    assert states(pack.listen(pack.now_ms + 1_000)) == []
+
+
 def test_a_train_waits_for_the_one_that_runs_four_at_most_and_no_longer_than_it_may(bench: ctypes.CDLL) -> None:
     pack = Pack(bench)
     pack.listen()
