@@ -5,7 +5,7 @@ import time
 import uuid
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import aclosing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, StimulationAction, StimulationRequest
@@ -91,11 +91,11 @@ class CommandDesk:
         TooManyError
             Too many commands are under way; a STOP is never held back for that.
         """
+        if wish.action in STOPS:
+            return self.stop(wish)
         known = self._known(wish)
         if known is not None:
             return known
-        if wish.action in STOPS:
-            return self.stop(wish)
         gateway = self._fleet.gateway_of(wish.node)
         if gateway is None:
             raise BiobotNotFoundError(biobot=wish.node)
@@ -116,14 +116,11 @@ class CommandDesk:
         return command
 
     def stop(self, wish: Wish) -> Command:
-        """Send a stop now: nothing is waited for, and no limit asked.
-
-        Raises
-        ------
-        CommandRefusedError
-            The id is that of another command.
-        """
-        known = self._known(wish)
+        """Send a stop now: nothing is waited for, and no limit asked. Under an id that another command has, it gets one of its own."""
+        try:
+            known = self._known(wish)
+        except CommandRefusedError:
+            known, wish = None, replace(wish, command_id=uuid.uuid4().hex)
         if known is not None:
             return known
         is_for_all = wish.action is StimulationAction.STOP_ALL

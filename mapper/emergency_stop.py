@@ -12,7 +12,6 @@ from firmware_protocol.contract.commands import StimulationAction
 from firmware_protocol.units import EVERYBODY, NodeId
 from mapper.command_log import Command, has_ended
 from mapper.commands import CommandDesk, Wish
-from mapper.errors import CommandRefusedError
 from mapper.log import EventLog
 
 _log = EventLog(__name__)
@@ -59,16 +58,12 @@ class EmergencyStop:
     def stop(self, *, operator: str, biobots: tuple[NodeId, ...] | None = None, stop_id: str | None = None) -> Stop:
         """Stop all biobots, or some, now. The same id again means the same stop: gateways that told nothing of it are asked once more.
 
-        Raises
-        ------
-        CommandRefusedError
-            The id is that of another stop, or of a command.
+        Under an id that another stop has, this one gets an id of its own.
         """
         known = None if stop_id is None else self._stops.get(stop_id)
+        if known is not None and known.biobots != biobots:
+            known, stop_id = None, None
         if known is not None:
-            if known.biobots != biobots:
-                reason = "its id was used for the stop of other biobots; choose a new id"
-                raise CommandRefusedError(command_id=known.stop_id, reason=reason)
             for command in known.commands:
                 self._desk.insist(command)
             return known

@@ -230,7 +230,12 @@ class GatewayAwayError(MapError):
     def __init__(self, *, command_id: str, gateway: str | None, reason: str | None = None) -> None:
         who = "no gateway answers" if gateway is None else f"gateway {gateway!r} does not answer"
         why = "" if reason is None else f" ({reason})"
-        super().__init__(f"{who}{why}; what was given to it was not delivered; see whether the gateway runs and is connected")
+        delivered = (
+            f"what was given to it as {command_id} was not delivered"
+            if reason is None
+            else f"whether it took what was given to it as {command_id} is not known: ask how it stands, or give it again under the same id"
+        )
+        super().__init__(f"{who}{why}; {delivered}; see whether the gateway runs and is connected")
         self.command_id = command_id
         self.gateway = gateway
 

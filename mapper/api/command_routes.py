@@ -4,15 +4,18 @@ A command is answered when it has ended, or when the client does not want to wai
 while it is under way, 409 when it was refused, 503 when there is no gateway to give it to.
 """
 
+from collections.abc import Callable, Coroutine
 from http import HTTPStatus
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.routing import APIRoute
 
 from firmware_protocol.contract.commands import PulseRequest, Refusal, StimulationAction, WaveformName
 from firmware_protocol.units import EVERYBODY, NodeId
 from mapper.api.command_schemas import (
     MAX_WAIT_S,
+    STOP_PATH,
     AccountList,
     CommandBody,
     CommandId,
@@ -69,16 +72,31 @@ _UNANSWERED_EXAMPLE: Final = {
 }
 
 
+class _AnyTypeRoute(APIRoute):
+    """Reads a body as JSON whatever type it is said to be of: no stop is refused for a header that a tool sent by itself."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        handle = super().get_route_handler()
+
+        async def handle_as_json(request: Request) -> Response:
+            others = [(name, value) for name, value in request.scope["headers"] if name != b"content-type"]
+            return await handle(Request({**request.scope, "headers": [*others, (b"content-type", b"application/json")]}, request.receive))
+
+        return handle_as_json
+
+
 def add_command_routes(router: APIRouter, services: Services) -> None:
     """Add stops, commands, and accounts of stimulation."""
-    _add_stop(router, services)
+    stops = APIRouter(route_class=_AnyTypeRoute)
+    _add_stop(stops, services)
+    router.include_router(stops)
     _add_commands(router, services)
     _add_accounts(router, services)
 
 
 def _add_stop(router: APIRouter, services: Services) -> None:
     @router.post(
-        "/api/v1/stop",
+        STOP_PATH,
         tags=["commands"],
         responses=describe_answers(
             StopView,

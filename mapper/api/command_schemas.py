@@ -8,6 +8,7 @@ from firmware_protocol.contract.mission_orders import MissionAction
 from mapper.api.schemas import AnswerModel, NodeNumber, NodeText
 from mapper.emergency_stop import MAX_STOP_ID
 
+STOP_PATH: Final = "/api/v1/stop"
 MAX_WAIT_S: Final = 60.0
 
 _ID: Final = r"^[A-Za-z0-9._-]+$"

@@ -9,6 +9,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
+from mapper.api.command_schemas import STOP_PATH
 from mapper.errors import (
     BiobotNotFoundError,
     CommandNotFoundError,
@@ -90,10 +91,11 @@ async def _on_map_error(request: Request, error: Exception) -> Response:
     return problem(status, detail=str(error), headers=headers, facts=facts)
 
 
-async def _on_invalid_request(_request: Request, error: Exception) -> Response:
+async def _on_invalid_request(request: Request, error: Exception) -> Response:
     faults = [_describe(fault) for fault in error.errors()] if isinstance(error, RequestValidationError) else [str(error)]
     shown = faults[:_MAX_SHOWN_FAULTS]
-    return problem(HTTPStatus.UNPROCESSABLE_ENTITY, detail="; ".join(shown), facts={"faults": shown})
+    warning = "nothing was stopped (a POST without a body stops all): " if request.url.path == STOP_PATH else ""
+    return problem(HTTPStatus.UNPROCESSABLE_ENTITY, detail=warning + "; ".join(shown), facts={"faults": shown})
 
 
 async def _on_http_exception(request: Request, error: Exception) -> Response:

@@ -35,8 +35,17 @@ def test_a_stop_of_all_reaches_every_gateway_and_answers_with_what_each_says() -
         bare = await client.post(STOP, params={}, content=b"")
         assert bare.status_code in {HTTPStatus.OK, HTTPStatus.ACCEPTED}
         assert (gateways[0].commands[1].operator, gateways[0].commands[1].action) == ("unnamed", StimulationAction.STOP_ALL)
-        clash = await client.post(STOP, json={"id": "one", "biobots": [5]})
-        assert clash.status_code == HTTPStatus.CONFLICT
+        other = await client.post(STOP, json={"id": "one", "biobots": [5]})
+        assert other.status_code in {HTTPStatus.OK, HTTPStatus.ACCEPTED}
+        assert other.json()["id"] != "one"
+        for content_type in ("application/x-www-form-urlencoded", "text/plain"):
+            n_before = len(gateways[0].commands)
+            answer = await client.post(STOP, content=b'{"operator": "form"}', headers={"content-type": content_type})
+            assert answer.status_code in {HTTPStatus.OK, HTTPStatus.ACCEPTED}
+            assert [request.operator for request in gateways[0].commands[n_before:]] == ["form"]
+        broken = await client.post(STOP, content=b"{", headers={"content-type": "application/json"})
+        assert broken.status_code == HTTPStatus.UNPROCESSABLE_ENTITY
+        assert broken.json()["detail"].startswith("nothing was stopped")
 
     run_story(story, n_gateways=2)
 
