@@ -43,6 +43,9 @@ class AnswerKeeper:
         """Tell the biobot's answer as the command's last stage."""
         reply = command.reply.result()
         self.learn(command, reply)
+        if not command.is_radio_confirmed and not command.part_of:
+            # The answer was quicker than the dongle's own word: what was answered had been sent.
+            self._teller.tell(command, Stage.RADIO_CONFIRMED, deadline_ns=self._now_ns())
         if reply.result in _DONE:
             self._teller.tell(command, Stage.BIOBOT_CONFIRMED, mode=mode_of(reply.mode))
         else:
