@@ -27,7 +27,7 @@ Declared: TypeAlias = zenoh.Queryable[None] | zenoh.Subscriber[None] | zenoh.Liv
 _PAUSE_S: Final = 0.1
 """Between two attempts to open a client's session; each of them lasts for as long as a connection may take."""
 
-_JOIN_S: Final = 1.0
+_JOIN_S: Final = 3.0
 
 _LOOKS_S: Final = (2.0, 4.0, 14.0)
 """Pauses after a new link, and after each look, before it is looked whether the session is heard."""
@@ -136,9 +136,18 @@ class ServiceSession:
             session.close()  # type: ignore[no-untyped-call]  # same
 
     def _keep(self, session: zenoh.Session, key: str) -> None:
-        """Look now and then, and after each new link, whether the session is heard; returns when it is not, or when this is closed."""
-        held = answer_echo(session, key)
-        held.append(session.info.declare_link_events_listener(self._on_link))
+        """Keep a session for as long as it is heard, and until this is closed."""
+        held = [*answer_echo(session, key), session.info.declare_link_events_listener(self._on_link)]
+        try:
+            self._look(key)
+        finally:
+            # Before the session is closed: Zenoh's threads would call back into an interpreter that is about to end.
+            for one in held:
+                with contextlib.suppress(zenoh.ZError):
+                    one.undeclare()
+
+    def _look(self, key: str) -> None:
+        """Look now and then, and after each new link, whether one is heard; returns when one is not."""
         looks_s, n_unheard = list(_LOOKS_S), 0
         while not self._closing.is_set():
             if self._has_link.wait(looks_s.pop(0) if looks_s else _LOOK_EVERY_S):

@@ -31,7 +31,7 @@ def run(story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]]
         port = free_port()
         with FakeGateway(port=port) as gateway:
             async with mapper_side(port, with_map=with_map) as side, client_of(side) as client:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 await story(side, gateway, client)
 
     asyncio.run(whole())

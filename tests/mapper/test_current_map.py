@@ -60,7 +60,7 @@ def test_the_status_says_what_the_map_is_of_and_what_waits(tmp_path: Path) -> No
                     assert status[name] == document[name]
                 assert status["begun_wall_ns"] <= status["computed_wall_ns"] <= status["now_wall_ns"]
                 assert status["last_encounter_wall_ns"] / 1e9 == document["last_encounter_s"]
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.journal_records(
                     [*RECORDS, encounter(len(RECORDS) + 1), encounter(len(RECORDS) + 2, sequence=len(RECORDS) + 1, revision=1)]
                 )
@@ -81,7 +81,7 @@ def test_a_window_leaves_out_what_was_over_and_says_so() -> None:
         with FakeGateway(port=port) as gateway:
             gateway.journal_records(RECORDS)
             async with mapper_side(port, with_map=True, window_ns=window_ns) as side:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.publish_status()
                 await level(side, change=len(RECORDS))
                 document = json.loads(side.current_map.require().map_json)
@@ -194,7 +194,7 @@ def test_after_a_restart_the_last_map_is_there_at_once_and_is_not_made_again(tmp
         with FakeGateway(port=port) as gateway:
             gateway.journal_records(RECORDS)
             async with mapper_side(port, with_map=True, store=path) as side:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.publish_status()
                 await level(side, change=len(RECORDS))
                 first = side.current_map.require()
@@ -205,7 +205,7 @@ def test_after_a_restart_the_last_map_is_there_at_once_and_is_not_made_again(tmp
                 assert await side.current_map.picture("svg") == drawn
                 assert (side.current_map.worker.n_starts, side.current_map.status.n_waiting) == (0, 0)
                 # The worker has nothing yet: it is sent everything, and a map of everything is what it makes.
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.journal_records([encounter(len(RECORDS) + 1)])
                 gateway.publish_status()
                 await level(side, change=len(RECORDS) + 1)
@@ -229,7 +229,7 @@ def test_a_kept_map_that_cannot_be_read_is_made_anew(tmp_path: Path) -> None:
         with FakeGateway(port=port) as gateway:
             gateway.journal_records(RECORDS)
             async with mapper_side(port, with_map=True, store=path) as side:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.publish_status()
                 await level(side, change=len(RECORDS))
             spoilt = Store(path)
@@ -317,7 +317,7 @@ def test_what_a_full_disk_does_not_take_in_waits(tmp_path: Path) -> None:
         port = free_port()
         with FakeGateway(port=port) as gateway:
             async with mapper_side(port, with_map=True, store=tmp_path / "records.db") as side:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 gateway.journal_records(RECORDS)
                 gateway.publish_status()
                 await level(side, change=len(RECORDS))

@@ -160,7 +160,7 @@ def test_many_records_in_a_row_make_few_maps_and_the_last_one_has_them_all() -> 
         port = free_port()
         with FakeGateway(port=port) as gateway:
             async with mapper_side(port, with_map=True) as side:
-                await until(lambda: side.bus.is_connected)
+                await until(lambda: side.bus.is_connected and gateway.is_heard)
                 for offset in range(1, 201):
                     gateway.journal_records([encounter(offset, nodes=(1, 2 + offset % 5), t_ns=(offset, offset + 1))])
                     gateway.publish(gateway.records[-1:])
