@@ -127,6 +127,9 @@ class StandingSession:
         self._has_link.set()
         if self._thread is not None:
             self._thread.join(timeout=_JOIN_S)  # longer where it is trying to connect: it closes what it gets then
+        # One by one, before the session is: what Zenoh's threads drop later, they would drop in an interpreter that is about to end.
+        for name in reversed(list(self._makers)):
+            self.undeclare(name)
         self._leave()
 
     def _open(self, mode: str, *, listen: tuple[str, ...] = ()) -> zenoh.Session:
