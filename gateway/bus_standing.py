@@ -9,6 +9,7 @@ session opens at once, and stays.
 
 import contextlib
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final, TypeAlias
@@ -28,6 +29,8 @@ _PAUSE_S: Final = 0.1
 """Between two attempts to open a client's session; each of them lasts for as long as a connection may take."""
 
 _JOIN_S: Final = 3.0
+_SETTLE_S: Final = 0.1
+"""For Zenoh's threads to let go of what they called back: in an interpreter that ends meanwhile, they bring the process down."""
 
 _LOOKS_S: Final = (2.0, 4.0, 14.0)
 """Pauses after a new link, and after each look, before it is looked whether the session is heard."""
@@ -102,6 +105,7 @@ class ServiceSession:
         if self._thread is not None:
             self._thread.join(timeout=_JOIN_S)  # longer where it is trying to connect: it closes what it gets then
         self._leave()
+        time.sleep(_SETTLE_S)
 
     def _join(self, echo: str | None) -> None:
         while not self._closing.is_set():

@@ -8,6 +8,7 @@ is a router, whose session opens at once, and stays.
 
 import json
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, TypeAlias
@@ -28,6 +29,8 @@ _PAUSE_S: Final = 0.1
 """Between two attempts to open a client's session; each of them lasts for as long as a connection may take."""
 
 _JOIN_S: Final = 3.0
+_SETTLE_S: Final = 0.1
+"""For Zenoh's threads to let go of what they called back: in an interpreter that ends meanwhile, they bring the process down."""
 
 _LOOKS_S: Final = (2.0, 4.0, 14.0)
 """Pauses after a new link, and after each look, before it is looked whether the session is heard."""
@@ -131,6 +134,7 @@ class StandingSession:
         for name in reversed(list(self._makers)):
             self.undeclare(name)
         self._leave()
+        time.sleep(_SETTLE_S)
 
     def _open(self, mode: str, *, listen: tuple[str, ...] = ()) -> zenoh.Session:
         timeout_ms = (self._timing or ZenohTable()).open_timeout_ms if mode == CLIENT else -1
