@@ -63,7 +63,7 @@ def test_a_replayed_recording_arrives_at_the_gateway_as_exactly_its_encounters_a
     )
     assert [one[:2] for one in got] == [one[:2] for one in expected]
     for (_, _, start_s, end_s, error_s), (_, _, expected_start_s, expected_end_s) in zip(got, expected, strict=True):
-        assert error_s < 1.0  # it grows where a busy machine delays what backpacks say
+        assert error_s < 0.4
         assert abs(start_s - expected_start_s) < error_s + 0.02
         assert abs(end_s - expected_end_s) < error_s + 0.02
     assert all(one.is_reciprocal for one in current(records))
