@@ -17,18 +17,11 @@ import zenoh
 import zenoh.ext
 
 from firmware_protocol.contract.access import Role, access_control
+from firmware_protocol.contract.announcements import GatewayEvent, NeighbourReport
 from firmware_protocol.contract.commands import CommandStage, StimulationAccount
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.presence import Kind, build_token_key
-from firmware_protocol.contract.records import (
-    EncodedBatch,
-    GatewayEvent,
-    GatewayStatus,
-    NeighbourReport,
-    NodeStatus,
-    Struct,
-    encode_record,
-)
+from firmware_protocol.contract.records import EncodedBatch, GatewayStatus, NodeStatus, Struct, encode_record
 from gateway.bus_commands import CommandDoor, CommandTaker, OrderDoor, OrderTaker, TurnedAwayListener
 from gateway.bus_history import HistoryDoor
 from gateway.bus_presence import CommanderDoor, CommanderListener, WatermarkDoor

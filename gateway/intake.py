@@ -13,7 +13,8 @@ from typing import TypeAlias
 
 import msgspec
 
-from firmware_protocol.contract.records import Cause, JournalRecord, NeighbourReport, NodeStatus
+from firmware_protocol.contract.announcements import NeighbourReport
+from firmware_protocol.contract.records import Cause, JournalRecord, NodeStatus
 from firmware_protocol.layouts import UPLINK_LAYOUTS
 from firmware_protocol.message_codec import build_uplink, decode_uplink_fields, read_encounters
 from firmware_protocol.messages import (

@@ -6,16 +6,8 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from firmware_protocol.contract.records import (
-    BackpackConfiguration,
-    BackpackLimits,
-    Cause,
-    Mode,
-    ModeRecord,
-    NeighbourEntry,
-    NeighbourReport,
-    NodeStatus,
-)
+from firmware_protocol.contract.announcements import NeighbourEntry, NeighbourReport
+from firmware_protocol.contract.records import BackpackConfiguration, BackpackLimits, Cause, Mode, ModeRecord, NodeStatus
 from firmware_protocol.messages import (
     LEAVE_PERIOD,
     LEAVE_RSSI,

@@ -12,7 +12,8 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, NodeStatus
+from firmware_protocol.contract.announcements import GatewayEvent
+from firmware_protocol.contract.records import GatewayStatus, NodeStatus
 from firmware_protocol.dialects.choice import make_host
 from firmware_protocol.dialects.interface import Host
 from firmware_protocol.messages import Diagnostic, Level

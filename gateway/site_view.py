@@ -4,7 +4,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TypeAlias, assert_never
 
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, RadioReport
+from firmware_protocol.contract.announcements import GatewayEvent
+from firmware_protocol.contract.records import GatewayStatus, RadioReport
 from firmware_protocol.units import NS_PER_S
 
 SILENT_S = 3.5

@@ -10,8 +10,9 @@ from typing import Any, Self
 
 import zenoh
 
+from firmware_protocol.contract.announcements import GatewayEvent
 from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, decode_record
+from firmware_protocol.contract.records import GatewayStatus, decode_record
 from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.errors import KeyExpressionError, RecordError
 from gateway.bus_session import ConnectionWatch, open_service

@@ -8,7 +8,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, RadioReport
+from firmware_protocol.contract.announcements import GatewayEvent
+from firmware_protocol.contract.records import GatewayStatus, RadioReport
 from firmware_protocol.units import NS_PER_S
 from gateway.site_view import SILENT_S, GatewayView, SiteView
 

@@ -3,17 +3,11 @@
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
+from firmware_protocol.contract.announcements import GatewayEvent, NeighbourReport
 from firmware_protocol.contract.commands import CommandStage, StimulationAccount
 from firmware_protocol.contract.keys import Key, Stream, parse_key
 from firmware_protocol.contract.presence import Token, parse_token_key
-from firmware_protocol.contract.records import (
-    GatewayEvent,
-    GatewayStatus,
-    NeighbourReport,
-    NodeStatus,
-    RecordBatch,
-    decode_record,
-)
+from firmware_protocol.contract.records import GatewayStatus, NodeStatus, RecordBatch, decode_record
 from firmware_protocol.errors import KeyExpressionError, RecordError
 from mapper.log import EventLog
 

@@ -5,8 +5,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from firmware_protocol.contract.announcements import GatewayEvent, NeighbourReport
 from firmware_protocol.contract.presence import Kind, Token
-from firmware_protocol.contract.records import Cause, GatewayEvent, GatewayStatus, Mode, ModeRecord, NeighbourReport, NodeStatus
+from firmware_protocol.contract.records import Cause, GatewayStatus, Mode, ModeRecord, NodeStatus
 from firmware_protocol.units import RSSI_UNKNOWN, NodeId
 
 # A gateway speaks every second; one that missed several is not there.

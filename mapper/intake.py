@@ -8,16 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
+from firmware_protocol.contract.announcements import GatewayEvent, NeighbourReport
 from firmware_protocol.contract.commands import CommandStage, StimulationAccount
 from firmware_protocol.contract.presence import Kind
-from firmware_protocol.contract.records import (
-    GatewayEvent,
-    GatewayStatus,
-    MissionRecord,
-    NeighbourReport,
-    NodeStatus,
-    RecordBatch,
-)
+from firmware_protocol.contract.records import GatewayStatus, MissionRecord, NodeStatus, RecordBatch
 from mapper.arrivals import Arrival, Presence
 from mapper.bus import Bus
 from mapper.changes import Changes, Topic

@@ -337,32 +337,6 @@ class NodeStatus(Struct, frozen=True, kw_only=True):
     """Encounters that its buffer holds; 0: not known."""
 
 
-class NeighbourEntry(Struct, frozen=True, kw_only=True):
-    """A biobot within communication range."""
-
-    node: AnyNode
-    rssi_dbm: RssiDbm
-
-
-class NeighbourReport(Struct, frozen=True, kw_only=True):
-    """All that a biobot had within communication range in its last report."""
-
-    gateway: str
-    node: AnyNode
-    wall_ns: Nanoseconds
-    neighbours: tuple[NeighbourEntry, ...]
-
-
-class GatewayEvent(Struct, frozen=True, kw_only=True):
-    """Something an operator may want to know; ``kind`` is dotted, as in ``radio.down``."""
-
-    gateway: str
-    wall_ns: Nanoseconds
-    level: str
-    kind: str
-    facts: dict[str, str]
-
-
 _encoder = msgspec.msgpack.Encoder()
 _StructT = TypeVar("_StructT", bound=Struct)
 

@@ -13,14 +13,13 @@ from typing import TypeVar
 
 import zenoh
 
+from firmware_protocol.contract.announcements import GatewayEvent, NeighbourReport
 from firmware_protocol.contract.commands import CommandStage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.records import (
-    GatewayEvent,
     GatewayStatus,
     HistoryRequest,
     JournalRecord,
-    NeighbourReport,
     NodeStatus,
     RecordBatch,
     Struct,

@@ -10,17 +10,10 @@ from typing import Any
 
 import pytest
 
+from firmware_protocol.contract.announcements import NeighbourEntry
 from firmware_protocol.contract.commands import CommandStage, PulseRequest, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.mission_orders import MissionAction, MissionAnswer, MissionOrder
-from firmware_protocol.contract.records import (
-    Cause,
-    EncounterRecord,
-    MissionPhase,
-    MissionRecord,
-    Mode,
-    ModeRecord,
-    NeighbourEntry,
-)
+from firmware_protocol.contract.records import Cause, EncounterRecord, MissionPhase, MissionRecord, Mode, ModeRecord
 from firmware_protocol.messages import Capability, Hello, Status, WireCause, WireMode
 from firmware_protocol.units import NS_PER_S, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.config import MissionTable

@@ -12,9 +12,10 @@ import pytest
 import zenoh
 
 from firmware_protocol.contract.access import Role
+from firmware_protocol.contract.announcements import GatewayEvent
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.presence import Kind, build_token_key
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, Watermark, decode_record, encode_record
+from firmware_protocol.contract.records import GatewayStatus, Watermark, decode_record, encode_record
 from firmware_protocol.contract.sessions import TlsTable
 from firmware_protocol.units import BootId, Nanoseconds
 from gateway.bus import Bus

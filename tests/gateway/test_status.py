@@ -18,7 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from firmware_protocol.contract.records import GatewayEvent, GatewayStatus, RadioReport
+from firmware_protocol.contract.announcements import GatewayEvent
+from firmware_protocol.contract.records import GatewayStatus, RadioReport
 from firmware_protocol.units import BootId, Nanoseconds
 from gateway.site_view import Presence, SiteView
 from gateway.status_screen import draw
