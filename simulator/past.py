@@ -1,10 +1,12 @@
 """The past of a world: every leg of every insect, kept as it ends."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from simulator.engine.engine import Records
-from simulator.errors import ParameterError
-from simulator.legs import Legs, in_order, join
+from simulator.errors import ParameterError, TimeError
+from simulator.legs import Floats, Legs, in_order, join
 
 
 class Past:
@@ -57,3 +59,11 @@ def to_legs(records: Records) -> Legs:
     """Make legs of the engine's records."""
     columns = {name: records[name].copy() for name in ("t_start_s", "t_end_s", "x", "y", "vx", "vy")}
     return Legs(biobot=records["row"].copy(), **columns)
+
+
+def check_times(t_s: Sequence[float] | Floats, *, now_s: float) -> Floats:
+    """Return instants [s] as an array. Raises TimeError where one lies before 0 or after ``now_s``."""
+    times = np.asarray(t_s, dtype=np.float64)
+    for wrong in times[~((times >= 0) & (times <= now_s))][:1]:
+        raise TimeError(got_s=float(wrong), wanted=f"a time from 0 to the present, {now_s!r} s")
+    return times

@@ -48,6 +48,12 @@ def tell_events(records: Records, *, ids: Sequence[int], lost_first: NDArray[np.
             yield BackpackSilenced(t_s=t_s, id=ids[first], reason=reason)
 
 
+def tell_open(found: Records, *, ids: Sequence[int]) -> list[EncounterBegan]:
+    """Tell of the encounters that have begun and not ended (rows of the engine's table), by start and ids."""
+    began = sorted(zip(found["met_s"].tolist(), found["first"].tolist(), found["second"].tolist(), strict=True))
+    return [EncounterBegan(t_s=t_s, id1=ids[first], id2=ids[second]) for t_s, first, second in began]
+
+
 def tell_run(parts: Sequence[Records], *, ids: Sequence[int], lost_first: NDArray[np.bool_]) -> Happenings:
     """Put the encounters that ended into columns, and make events of all else but beginnings; parameters as in ``tell_events``."""
     records = np.concatenate([np.empty(0, dtype=EVENT), *parts])

@@ -8,21 +8,21 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from simulator.arenas.arena import Arena
 from simulator.config import Ranges
 from simulator.engine import Engine
 from simulator.engine.engine import Records
-from simulator.errors import ArenaError, ParameterError, SnapshotError, TimeError, UnknownBiobotError
+from simulator.errors import ParameterError, SnapshotError, TimeError, UnknownBiobotError
 from simulator.events import Cause, EncounterBegan, Event, Happenings, Mode
 from simulator.failures import draw_failures
 from simulator.legs import Floats, Indices, Legs, locate
+from simulator.links import links_within
 from simulator.motion import MotionParameters
-from simulator.past import Past, to_legs
+from simulator.past import Past, check_times, to_legs
 from simulator.recipe import engine_config, motion_under_command
 from simulator.snapshot import WorldParts, pack, unpack
-from simulator.telling import CAUSES, MODES, tell_events, tell_run
+from simulator.telling import CAUSES, MODES, tell_events, tell_open, tell_run
 
 # Steps of the engine between two reports of progress, about a tenth of a second's work.
 _STEPS_AT_ONCE = 200_000
@@ -222,11 +222,7 @@ class World:
         """
         if self._torus:
             raise ParameterError(name="torus", got=True, wanted="a world with walls, where walls are to be replaced")
-        low, high = self._bounds[:2], self._bounds[2:]
-        if not all(low[k] <= arena.bounds[k] and arena.bounds[2 + k] <= high[k] for k in range(2)):
-            raise ArenaError(
-                source="arena", problem=f"its bounds {arena.bounds} reach beyond {self._bounds}, those of the world's first arena"
-            )
+        arena.expect_within(self._bounds)
         places = arena.nearest_room(self.positions())
         self._engine.replace_walls(arena, places=places, at_s=self._now_s)
         self._arena = arena
@@ -260,7 +256,7 @@ class World:
 
     def positions_at(self, t_s: Sequence[float] | Floats) -> Floats:
         """Return where all biobots were at each of some instants: shape (k, n, 2) [length]. Raises TimeError."""
-        times = self._check_times(t_s)
+        times = check_times(t_s, now_s=self._now_s)
         rows = np.repeat(np.arange(len(self._ids)), times.size)
         places = self._places(rows, np.tile(times, len(self._ids)))
         return np.ascontiguousarray(places.reshape(len(self._ids), times.size, 2).transpose(1, 0, 2))
@@ -285,7 +281,7 @@ class World:
         UnknownBiobotError
             An id is none of this world's.
         """
-        times = self._check_times(t_s)
+        times = check_times(t_s, now_s=self._now_s)
         asked = np.asarray(biobot_ids, dtype=np.int64)
         known = np.array(self._ids, dtype=np.int64)
         rows = np.minimum(np.searchsorted(known, asked), known.size - 1)
@@ -304,20 +300,12 @@ class World:
 
     def adjacency(self) -> dict[int, set[int]]:
         """Return every biobot's neighbours within the communication radius now: id to ids."""
-        links: dict[int, set[int]] = {one: set() for one in self._ids}
-        places, side = self.positions(), self._bounds[2] - self._bounds[0] if self._torus else None
-        tree = cKDTree(places) if side is None else cKDTree(np.mod(places, side), boxsize=np.array([side, side]))
-        pairs = tree.query_pairs(self._ranges.communication, output_type="ndarray")
-        for first, second in pairs.tolist():
-            links[self._ids[first]].add(self._ids[second])
-            links[self._ids[second]].add(self._ids[first])
-        return links
+        side = self._bounds[2] - self._bounds[0] if self._torus else None
+        return links_within(self.positions(), radius=self._ranges.communication, ids=self._ids, side=side)
 
     def open_encounters(self) -> list[EncounterBegan]:
         """Return the encounters told to have begun and not yet to have ended, by start and ids."""
-        found = self._engine.open_encounters()
-        began = sorted(zip(found["met_s"].tolist(), found["first"].tolist(), found["second"].tolist(), strict=True))
-        return [EncounterBegan(t_s=t_s, id1=self._ids[first], id2=self._ids[second]) for t_s, first, second in began]
+        return tell_open(self._engine.open_encounters(), ids=self._ids)
 
     def snapshot(self) -> bytes:
         """Return all there is to know, so that ``restore`` goes on as if nothing had been: same events, bit for bit."""
@@ -401,12 +389,6 @@ class World:
     def _places(self, rows: Indices, times: Floats) -> Floats:
         legs = self.legs()
         return np.column_stack(legs.take(locate(legs, biobot=rows, t_s=times)).at(times))
-
-    def _check_times(self, t_s: Sequence[float] | Floats) -> Floats:
-        times = np.asarray(t_s, dtype=np.float64)
-        for wrong in times[~((times >= 0) & (times <= self._now_s))][:1]:
-            raise TimeError(got_s=float(wrong), wanted=f"a time from 0 to the present, {self._now_s!r} s")
-        return times
 
     def _find(self, biobot_id: int) -> int:
         row = self._row.get(biobot_id)

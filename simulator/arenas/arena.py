@@ -79,6 +79,12 @@ class Arena:
         inside[inside] = clear
         return inside
 
+    def expect_within(self, bounds: tuple[float, float, float, float]) -> None:
+        """Raise ArenaError where this arena reaches beyond the bounds of a world's first one: lower and upper corner [length]."""
+        low, high = bounds[:2], bounds[2:]
+        if not all(low[k] <= self.bounds[k] and self.bounds[2 + k] <= high[k] for k in range(2)):
+            raise ArenaError(source="arena", problem=f"its bounds {self.bounds} reach beyond {bounds}, those of the world's first arena")
+
     def nearest_room(self, points: Floats) -> Floats:
         """Return each of some points (shape (n, 2) [length]), or where it has no room, the nearest place that has some.
 
