@@ -45,13 +45,16 @@ class Outcome:
     """What the mapper has in the end.
 
     ``intervals``: encounters that count, pair and instants [s since the run began, by the site's clock]. ``n_records`` are not void,
-    ``n_joint`` encounters are of several of them. ``clocks`` and ``faults`` as the mapper tells them.
+    ``n_joint`` encounters are of several of them, and ``n_absorbed`` records stand for none of their own therefore: two meetings of a
+    pair that follow each other closer than the clocks can tell make one encounter of three records or four. ``clocks`` and ``faults``
+    as the mapper tells them.
     """
 
     ledger: Ledger
     intervals: tuple[tuple[int, int, float, float], ...]
     n_records: int
     n_joint: int
+    n_absorbed: int
     n_reciprocal: int
     n_known: int
     clocks: dict[str, dict[str, Any]]
@@ -121,6 +124,7 @@ def _look(url: str, truth: Path) -> Outcome:
         ),
         n_records=sum(not record["is_void"] for record in records),
         n_joint=sum(bool(record["joint"]) and record["joint"]["is_counted"] for record in records),
+        n_absorbed=sum(len(record["joint"]["records"]) - 1 for record in records if record["joint"] and record["joint"]["is_counted"]),
         n_reciprocal=n_reciprocal,
         n_known=health["n_encounters"],
         clocks={gateway["name"]: gateway["clocks"][0] for gateway in _get(url, "/api/v1/gateways")["gateways"]},
