@@ -51,7 +51,7 @@ def admit(request: StimulationRequest, *, table: StimulationTable, ledger: Train
         return unknown_biobot(request)
     refused = (
         _why_unfit(node)
-        or _why_unable(node, request.action)
+        or why_unable(node, request.action)
         or _why_late(request, table=table, now_wall_ns=so.now_wall_ns)
         or (_OVERTAKEN if so.is_overtaken else None)
         or why_unattended(request, is_stopping=so.is_stopping, is_commander_there=so.is_commander_there)
@@ -102,7 +102,8 @@ def _why_unfit(node: Node) -> Refused | None:
     return None
 
 
-def _why_unable(node: Node, action: StimulationAction) -> Refused | None:
+def why_unable(node: Node, action: StimulationAction) -> Refused | None:
+    """Return why a biobot cannot be sent along walls: its backpack has not said since its start that it can."""
     if action is not StimulationAction.FOLLOW_WALLS or (node.is_introduced and node.capabilities & Capability.FOLLOW_WALLS):
         return None
     why = "its backpack does not say that it can" if node.is_introduced else "its backpack has not said since its start what it can"
