@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.units import NS_PER_S, ShortAddress
+from firmware_protocol.units import BROADCAST, NS_PER_S, ShortAddress
 
 MAX_QUEUE = 256
 """Payloads that wait to be written; more are refused."""
@@ -78,7 +78,11 @@ class SendWindow:
             raise LinkFullError(limit=MAX_QUEUE)
         ticket = self._next_ticket
         self._next_ticket += 1
-        (self._urgent if is_urgent else self._unsent).append(Unsent(ticket, destination, payload))
+        one = Unsent(ticket, destination, payload)
+        if is_urgent and destination == BROADCAST:
+            self._urgent.appendleft(one)
+        else:
+            (self._urgent if is_urgent else self._unsent).append(one)
         return ticket
 
     def forget(self, ticket: int) -> None:
