@@ -66,6 +66,11 @@ class SendWindow:
         """An urgent one does."""
         return bool(self._urgent)
 
+    @property
+    def is_broadcast_next(self) -> bool:
+        """The next urgent one is for everybody."""
+        return bool(self._urgent) and self._urgent[0].destination == BROADCAST
+
     def add(self, *, destination: ShortAddress, payload: bytes, is_urgent: bool) -> int:
         """Queue a payload and return its ticket.
 

@@ -106,6 +106,7 @@ class StopAll:
             if self._newest is sweep:
                 self._newest = None
             for part in sweep.parts:
+                sweep.let_go(part)
                 self._book.finish(part)
 
     def _requests(self, whole: Command) -> Iterator[tuple[bool, StimulationRequest]]:
@@ -150,6 +151,7 @@ class _Sweep:
         self._now_ns = now_ns
         self._within_reach: list[Command] = []
         self._beyond: list[Command] = []
+        self._hears: dict[NodeId, Callable[[object], None]] = {}
         self._n_silent = 0
         self._news = asyncio.Event()
         self._end_ns = self._sending_ns = 0
@@ -173,7 +175,12 @@ class _Sweep:
         self.parts.append(part)
         (self._within_reach if is_near else self._beyond).append(part)
         self._n_silent += is_near
-        part.reply.add_done_callback(lambda _: self._on_reply(part, is_near=is_near))
+        hear = self._hears[part.request.node] = partial(self._on_reply, part, is_near)
+        part.reply.add_done_callback(hear)
+
+    def let_go(self, part: Command) -> None:
+        """Hear of a part no more: it is remembered for long, and all the others are not to be with it."""
+        part.reply.remove_done_callback(self._hears.pop(part.request.node))
 
     def give_way(self) -> None:
         """Send nothing more: a newer stop of everybody has come."""
@@ -280,7 +287,7 @@ class _Sweep:
         if _is_sent(sending) and not part.is_final and not part.is_radio_confirmed:
             self._teller.tell(part, Stage.RADIO_CONFIRMED, deadline_ns=self._end_ns)
 
-    def _on_reply(self, part: Command, *, is_near: bool) -> None:
+    def _on_reply(self, part: Command, is_near: bool, _reply: object) -> None:  # noqa: FBT001  # given in order, by partial and future
         if part.is_final or part.reply.cancelled():
             return
         if not part.stages:
