@@ -59,7 +59,7 @@ Python's 5 ms each, commits took 20 ms under load instead of 3, and a dongle wit
 (measured 2026-11)."""
 
 _COLLECTED_AFTER = (1_000, 20, 100)
-"""New objects until the youngest are searched for cycles, and such searches until the older are, and the oldest: less often than is usual."""
+"""New objects until the youngest are searched for cycles, and such searches until the older ones are, and all: less often than usual."""
 
 _DRAIN_TIMEOUT_S = 5.0
 _CANCEL_AGAIN_S = 0.5
