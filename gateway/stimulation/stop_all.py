@@ -83,8 +83,8 @@ class StopAll:
             answers=self._answers,
             now_ns=self._now_ns,
         )
+        self._stops.overtake(whole)  # before it is sent: a port that takes it may take the next frame too
         sweep.broadcast()
-        self._stops.overtake(whole)
         sweep.begin(n_known=len(self._nodes))
         if self._newest is not None:
             self._newest.give_way()
