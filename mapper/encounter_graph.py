@@ -122,7 +122,7 @@ class Components(Sequence[EncounterGraph]):
 
 
 def select_links(links: Links, is_chosen: BoolArray, new_number: VertexArray) -> Links:
-    """Take some of the links, shape (k,), between vertices that are numbered anew, shape (v,); a link whose before is not taken has none."""
+    """Take some of the links, shape (k,), between vertices numbered anew, shape (v,); a link whose one before is not taken has none."""
     number = np.where(is_chosen, np.cumsum(is_chosen, dtype=np.int32) - np.int32(1), np.int32(-1))
     before = links.before[is_chosen]
     return Links(
