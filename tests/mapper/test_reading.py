@@ -17,7 +17,8 @@ from gateway.journal_export.rows import COLUMNS, Kind
 from gateway.journal_export.tables import write_csv, write_parquet
 from mapper.encounter_csv import read_encounters, read_modes
 from mapper.errors import InputFileError
-from mapper.reading import NodeNames, ProximityLog, ReadingOptions, Role, TimeUnit, parse_columns, read_ids, read_log
+from mapper.reading import NodeNames, ProximityLog, ReadingOptions, Role, TimeUnit, parse_columns, read_ids, read_log, read_time
+from mapper.reading.column_names import NAMES_OF_TIMES, find_layout
 from mapper.types import EncounterTable, KernelsKind
 from tests.mapper.csv_files import plain_files
 from tests.mapper.log_files import FORMS, ZERO_MS, Form, Row, contact_rows, write
@@ -298,11 +299,14 @@ def test_ids_come_from_a_command_line_and_from_files(tmp_path: Path) -> None:
         read_ids((f"@{file}",))
 
 
-def test_modes_may_speak_of_names(tmp_path: Path) -> None:
+def test_modes_may_speak_of_names_and_dates(tmp_path: Path) -> None:
     path = tmp_path / "modes.csv"
-    path.write_text("t_start_s,t_end_s,id,mode,cause\n0,,north door,S,command\n0,,nobody,S,command\n")
-    (spell,) = read_modes(path, number_of=NodeNames(text_of={4: "north door"}).number_of)
-    assert spell.node == 4
+    path.write_text("t_start_s,t_end_s,id,mode,cause\n1970-01-01T00:00:05Z,7.5,north door,S,command\n0,,nobody,S,command\n")
+    (spell,) = read_modes(path, number_of=NodeNames(text_of={4: "north door"}).number_of, time_of=read_time)
+    assert (spell.node, spell.t_start_ns, spell.t_end_ns) == (4, 5 * S, 7_500_000_000)
+    path.write_text("t_start_s,t_end_s,id,mode,cause\nnoon,,north door,S,command\n")
+    with pytest.raises(InputFileError, match="line 2: t_start_s is 'noon'; wanted a finite number"):
+        read_modes(path, time_of=read_time)
 
 
 @given(st.binary(max_size=80), st.sampled_from([b"", b"t,a,b\n", b"start;end;id1;id2\n", b"\x1f\x8b", b"PAR1", b"# t,a,b\n"]))
@@ -312,3 +316,26 @@ def test_no_bytes_crash_the_reader(path: Path, noise: bytes, head: bytes) -> Non
         table = read_log(path).table
         assert (table.t_start_ns <= table.t_end_ns).all()
         assert (table.id1 < table.id2).all()
+
+
+def _listed(row: str) -> list[str]:
+    document = (Path(__file__).parents[2] / "docs" / "your-own-data.md").read_text()
+    (line,) = [line for line in document.splitlines() if line.startswith(f"| {row} |")]
+    return line.split("|")[2].strip().split(", ")
+
+
+@pytest.mark.parametrize("role", [Role.START, Role.END, Role.INSTANT, Role.DURATION])
+def test_the_names_of_times_are_those_of_the_documentation(role: Role) -> None:
+    others = {Role.START: ["end"], Role.END: ["start"], Role.DURATION: ["t"]}.get(role, [])
+    listed = _listed(role)
+    for name in listed:
+        assert find_layout([name, *others, "id1", "id2"], ReadingOptions()).place[role] == 0
+    assert {name.replace(" ", "") for name in listed} == NAMES_OF_TIMES[role]
+
+
+def test_the_words_for_nodes_are_those_of_the_documentation() -> None:
+    for word in _listed("the words"):
+        for one, other in ((f"{word}1", f"{word}_2"), (f"{word}A", f"{word} b"), (f"source_{word}", f"target_{word}")):
+            place = find_layout(["t", other, one], ReadingOptions()).place
+            assert (place[Role.ID1], place[Role.ID2]) == (2, 1)
+        assert find_layout(["t", f"{word}_id", "reader"], ReadingOptions()).is_place
