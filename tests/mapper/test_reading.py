@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gateway.journal_export.rows import COLUMNS, Kind
@@ -20,7 +20,7 @@ from mapper.errors import InputFileError
 from mapper.reading import NodeNames, ProximityLog, ReadingOptions, Role, TimeUnit, parse_columns, read_ids, read_log, read_time
 from mapper.reading.column_names import NAMES_OF_TIMES, find_layout
 from mapper.types import EncounterTable, KernelsKind
-from tests.mapper.csv_files import plain_files
+from tests.mapper.csv_files import odd_files, plain_files
 from tests.mapper.log_files import FORMS, ZERO_MS, Form, Row, contact_rows, write
 
 S = 1_000_000_000
@@ -69,6 +69,21 @@ def test_every_form_of_one_table_is_the_same_table(path: Path, form: Form, rows:
 def test_a_file_with_own_columns_is_read_as_its_own_reader_does(path: Path, text: str) -> None:
     path.write_bytes(text.encode())
     assert _rows(read_log(path).table) == _rows(read_encounters(path))
+
+
+@given(odd_files())
+@settings(max_examples=60)
+@example(b"t_start_s,t_end_s,id1,id2\r1,2,3,4\n5,6,7,8\n")
+@example(b"t_start_s,t_end_s,id1,id2\r1,2,3,4\r")
+@example(b'"t_start_s",t_end_s,id1,id2,"\n"\n1,2,3,4\n')
+@example(b"\n \n\xef\xbb\xbft_start_s,t_end_s,id1,id2\n1,2,3,4\n")
+def test_what_its_own_reader_takes_is_taken_alike(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    wanted: list[tuple[int, ...]] | None = None
+    with suppress(InputFileError):
+        wanted = _rows(read_encounters(path))
+    if wanted is not None:
+        assert _rows(read_log(path).table) == wanted
 
 
 @given(rows=contact_rows(), form=st.sampled_from(FORMS))
