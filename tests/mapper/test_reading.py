@@ -212,7 +212,7 @@ def test_what_had_to_be_assumed_is_told(path: Path) -> None:
         ("t_start_s,t_end_s,id1,id2\n1,2,5,5\n", "line 2: id1 and id2 are both 5; an encounter has two biobots"),
         ("t_start_s,t_end_s,id1,id2\n1,2,5,-1\n", "1 rows have an id below 0; wanted whole numbers"),
         ("start,end,id1,id2\n\xff".encode("latin-1"), "line 2: byte 0xff is not UTF-8 text; is this a CSV file?"),
-        (gzip.compress(b"start,end,id1,id2\n")[:-9], "cannot be unpacked: compressed file ended"),
+        (gzip.compress(b"start,end,id1,id2\n", mtime=0)[:-9], "cannot be unpacked: compressed file ended"),
         (b"PAR1" + bytes(20), "not a Parquet file that can be read"),
     ],
 )
