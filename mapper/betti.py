@@ -8,6 +8,9 @@ import numpy as np
 
 from mapper.types import BettiRule, BettiRuleKind, BoolArray, FloatArray, Method, MetricKind
 
+REFERENCE_ENCOUNTERS = 1000
+"""With so many, ``tau`` of a rule is what counts, whatever its ``power``."""
+
 _MIN_FOR_QUANTILE = 3
 # On exact geodesics of 200 arenas, death over birth above 2 alone counts the holes right in 99.5 %.
 _FEW_INTERVALS_RATIO = 2.0
@@ -27,13 +30,13 @@ def load_trained_rules(method: Method, metric: MetricKind) -> TrainedRules:
     entries = json.loads(resources.files("mapper").joinpath("data", "classifier.json").read_text(encoding="utf-8"))
     entry = entries[f"{method}/{metric}"]
     rules = [
-        BettiRule(kind=BettiRuleKind(rule["rule"]), q=float(rule["q"]), delta=float(rule["delta"]), tau=float(rule["tau"]))
+        BettiRule(kind=BettiRuleKind(rule["rule"]), q=float(rule["q"]), delta=float(rule["delta"]), tau=float(rule["tau"]), power=float(rule["power"]))
         for rule in (entry["dimension_0"], entry["dimension_1"])
     ]
     return TrainedRules(rules=(rules[0], rules[1]), trained_on=entry["trained_on"], command=entry["command"])
 
 
-def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float) -> BoolArray:
+def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float, n_encounters: int = REFERENCE_ENCOUNTERS) -> BoolArray:
     """Say which intervals of one dimension are real.
 
     Parameters
@@ -42,6 +45,8 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float) 
         Birth and death, shape (m, 2), in any one unit of length; a death of inf is one component that never merges.
     diameter
         Largest distance of the metric space, same unit.
+    n_encounters
+        Encounters that could have become points: a rule with a ``power`` asks less where there are more.
 
     Returns
     -------
@@ -70,5 +75,5 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float) 
             is_real = ratio > _FEW_INTERVALS_RATIO
         case BettiRuleKind.QUANTILE:
             scale = float(np.quantile(length[is_finite], rule.q, method="lower")) + rule.delta
-            is_real = length > rule.tau * scale
+            is_real = length > rule.tau * (REFERENCE_ENCOUNTERS / max(n_encounters, 1)) ** rule.power * scale
     return np.asarray((is_real & is_finite) | is_infinite)

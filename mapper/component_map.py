@@ -81,7 +81,11 @@ def map_component(
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
     diameter = float(lengths.max())
-    real = [judge_intervals(part, rule, diameter=diameter) for part, rule in zip(diagram.intervals, rules, strict=True)]
+    n_candidates = int(graph.multiplicity[candidates].sum())
+    real = [
+        judge_intervals(part, rule, diameter=diameter, n_encounters=n_candidates)
+        for part, rule in zip(diagram.intervals, rules, strict=True)
+    ]
     begin("embedding")
     embedding = embed_in_plane(lengths)
     merges, loops = diagram.intervals
@@ -106,6 +110,7 @@ def map_component(
             distances=read_only(lengths),
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
+            n_candidates=n_candidates,
         ),
         encounters=graph.first_encounter[sample.vertices].astype(np.int64),
         coordinates=embedding.coordinates,
@@ -156,7 +161,12 @@ def _compare_and_filter(
     # Of fewer candidates fewer are averaged, over the same area.
     share = recipe.smoothing_share * (candidates.sum() / kept.sum())
     profiles = bracket.middle
-    profiles[candidates] = smooth_profiles(profiles[candidates], n_neighbours=round(share * graph.n_vertices), kernels=graph.kernels)
+    profiles[candidates] = smooth_profiles(
+        profiles[candidates],
+        n_neighbours=round(share * graph.n_vertices),
+        n_passes=recipe.smoothing_passes,
+        kernels=graph.kernels,
+    )
     return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept, candidates
 
 

@@ -98,7 +98,7 @@ class BettiRuleKind(StrEnum):
 class BettiRule:
     """Which intervals of one dimension are real; lengths are shares of the metric's diameter.
 
-    ``QUANTILE``: ``length / (r_q + delta) > tau``. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
+    ``QUANTILE``: ``length / (r_q + delta) > tau * (1000 / n)**power`` for n encounters that could have become points. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
     ``CONNECTED``: no finite interval is real; no number is used.
     """
 
@@ -106,6 +106,7 @@ class BettiRule:
     q: float
     delta: float
     tau: float
+    power: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +115,7 @@ class Recipe:
 
     ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
     those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
-    vertices around each. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are smoothed and
+    vertices around each, ``smoothing_passes`` times. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are smoothed and
     may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
     ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
     those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets the
@@ -136,6 +137,7 @@ class Recipe:
     betti_rules: tuple[BettiRule, BettiRule] | None
     epsilon_share: float | None
     speed_mps: float | None
+    smoothing_passes: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -166,7 +168,7 @@ class ComponentMap:
     ``intervals[k]`` has shape (m, 2): birth and death in dimension k, longest first; a death that never comes is inf.
     ``n_used`` encounters were left after the outliers were dropped. ``cover_radius``: none of those that could have become points is
     further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
-    where a landmark stood.
+    where a landmark stood. ``n_candidates`` of the encounters used could have become points.
     ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``.
     """
 
@@ -181,6 +183,7 @@ class ComponentMap:
     distances: FloatArray
     intervals: tuple[FloatArray, FloatArray]
     betti_numbers: tuple[int, int]
+    n_candidates: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
