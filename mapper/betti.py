@@ -10,6 +10,7 @@ from mapper.types import BettiRule, BettiRuleKind, BoolArray, FloatArray, Method
 
 REFERENCE_ENCOUNTERS = 1000
 """With so many, ``tau`` of a rule is what counts, whatever its ``power``."""
+_MOST_ENCOUNTERS = 20_000  # of the training runs
 
 _MIN_FOR_QUANTILE = 3
 # On exact geodesics of 200 arenas, death over birth above 2 alone counts the holes right in 99.5 %.
@@ -46,7 +47,7 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float, 
     diameter
         Largest distance of the metric space, same unit.
     n_encounters
-        Encounters that could have become points: a rule with a ``power`` asks less where there are more.
+        Encounters that are no outliers: a rule with a ``power`` asks less where there are more, up to 20,000.
 
     Returns
     -------
@@ -75,5 +76,5 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float, 
             is_real = ratio > _FEW_INTERVALS_RATIO
         case BettiRuleKind.QUANTILE:
             scale = float(np.quantile(length[is_finite], rule.q, method="lower")) + rule.delta
-            is_real = length > rule.tau * (REFERENCE_ENCOUNTERS / max(n_encounters, 1)) ** rule.power * scale
+            is_real = length > rule.tau * (REFERENCE_ENCOUNTERS / min(max(n_encounters, 1), _MOST_ENCOUNTERS)) ** rule.power * scale
     return np.asarray((is_real & is_finite) | is_infinite)

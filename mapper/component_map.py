@@ -7,16 +7,17 @@ from math import isqrt
 import numpy as np
 
 from mapper.betti import judge_intervals
-from mapper.embedding import embed_in_plane
+from mapper.embedding import embed_in_plane, turn_to_axes
 from mapper.encounter_graph import EncounterGraph
 from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, times_to
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
+from mapper.placement import Placement, keep_best_placed, place_in_plane, placed_profiles
 from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import subsample_maxmin
-from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, Recipe, read_only
+from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
 
 MIN_LANDMARKS = 3
 """Landmarks that profiles need: distances to one or two places cannot tell the two sides of a line apart."""
@@ -25,6 +26,20 @@ MIN_LANDMARKS = 3
 _MAX_PROFILE_NUMBERS = 2**26
 _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
+# Of encounters near each other the best placed quarter may become points, but at least twice as many as there will be points (own choice).
+_BEST_SHARE = 0.25
+_CANDIDATES_PER_POINT = 2
+_LEAST_AVERAGED = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Compared:
+    """The metric, which vertices were good enough, which of those may be picked, and where they are if they were placed."""
+
+    metric: Metric
+    kept: BoolArray
+    candidates: BoolArray
+    placement: Placement | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,6 +67,7 @@ def map_component(
     index: int,
     n_points: int,
     ticks_per_length: float,
+    contact: float,
     begin: Callable[[str], None],
 ) -> PlacedComponent:
     """Run the stages on one connected graph.
@@ -64,6 +80,8 @@ def map_component(
         Size of the subsample.
     ticks_per_length
         Ticks in one unit of length of the map.
+    contact
+        How long encounters last, their median [ticks].
     begin
         Told the name of each stage before it begins.
 
@@ -74,20 +92,23 @@ def map_component(
     """
     begin("metric")
     references, n_anchors, warnings = _choose_references(graph, recipe, index=index)
-    metric, kept, candidates = _compare_and_filter(graph, references, recipe, begin=begin)
+    compared = _compare_and_filter(graph, references, recipe, n_points=n_points, contact=contact, begin=begin)
     begin("subsample")
-    sample = subsample_maxmin(metric, candidates, n_points=n_points)
+    sample = subsample_maxmin(compared.metric, compared.candidates, n_points=n_points)
     begin("persistence")
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
     diameter = float(lengths.max())
-    n_candidates = int(graph.multiplicity[candidates].sum())
+    n_used = int(graph.multiplicity[compared.kept].sum())
     real = [
-        judge_intervals(part, rule, diameter=diameter, n_encounters=n_candidates)
+        judge_intervals(part, rule, diameter=diameter, n_encounters=n_used)
         for part, rule in zip(diagram.intervals, rules, strict=True)
     ]
     begin("embedding")
     embedding = embed_in_plane(lengths)
+    coordinates = embedding.coordinates
+    if compared.placement is not None:
+        coordinates = turn_to_axes(compared.placement.xy[sample.vertices] / ticks_per_length)
     merges, loops = diagram.intervals
     holes = tuple(
         Hole(component=index, birth=birth, death=death, outline=outline)
@@ -100,7 +121,7 @@ def map_component(
     return PlacedComponent(
         summary=ComponentMap(
             n_encounters=graph.n_encounters,
-            n_used=int(graph.multiplicity[kept].sum()),
+            n_used=n_used,
             n_points=len(sample.vertices),
             n_landmarks=len(graph.landmarks),
             diameter=diameter,
@@ -110,10 +131,9 @@ def map_component(
             distances=read_only(lengths),
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
-            n_candidates=n_candidates,
         ),
         encounters=graph.first_encounter[sample.vertices].astype(np.int64),
-        coordinates=embedding.coordinates,
+        coordinates=coordinates,
         holes=holes,
         skeleton=build_skeleton(lengths, epsilon=epsilon),
         n_anchors=n_anchors,
@@ -141,22 +161,31 @@ def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> 
 
 
 def _compare_and_filter(
-    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, begin: Callable[[str], None]
-) -> tuple[Metric, BoolArray, BoolArray]:
+    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, n_points: int, contact: float, begin: Callable[[str], None]
+) -> _Compared:
     """Make the metric, and say which vertices are good enough, and which of those may be picked."""
     if recipe.metric is MetricKind.ENCOUNTER:
         along_graph = EncounterMetric(graph=graph)
         begin("outliers")
         kept = _inliers(along_graph, recipe)
-        return along_graph, kept, kept
+        return _Compared(metric=along_graph, kept=kept, candidates=kept)
     if not recipe.bracketed:
         between_profiles = profile_metric(graph, references, norm=recipe.profile_norm)
         begin("outliers")
         kept = _inliers(between_profiles, recipe)
-        return between_profiles, kept, thin_out(kept, limit=recipe.max_candidates)
+        return _Compared(metric=between_profiles, kept=kept, candidates=thin_out(kept, limit=recipe.max_candidates))
     bracket = bracket_profiles(times_to(graph, references), references, kernels=graph.kernels)
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
+    if recipe.placed and recipe.profile_norm is ProfileNorm.MAX and len(graph.landmarks) >= MIN_LANDMARKS:
+        placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
+        least = _CANDIDATES_PER_POINT * n_points
+        best = keep_best_placed(placement, kept, doubt=bracket.doubt, least=least, share=_BEST_SHARE)
+        candidates = thin_out(best, limit=recipe.max_candidates)
+        n_averaged = max(_LEAST_AVERAGED, round(recipe.smoothing_share * placement.is_placed.sum()))
+        profiles = placed_profiles(graph, placement, candidates, references, middle=bracket.middle, n_neighbours=n_averaged)
+        metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
+        return _Compared(metric=metric, kept=kept, candidates=candidates, placement=placement)
     candidates = thin_out(kept, limit=recipe.max_candidates)
     # Of fewer candidates fewer are averaged, over the same area.
     share = recipe.smoothing_share * (candidates.sum() / kept.sum())
@@ -167,7 +196,8 @@ def _compare_and_filter(
         n_passes=recipe.smoothing_passes,
         kernels=graph.kernels,
     )
-    return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept, candidates
+    metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
+    return _Compared(metric=metric, kept=kept, candidates=candidates)
 
 
 def _inliers(metric: Metric, recipe: Recipe) -> BoolArray:

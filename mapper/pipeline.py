@@ -74,6 +74,7 @@ def compute_map(
     parts = build_components(table, spells, moving_time=recipe.moving_time, kernels=kernels)
     shares = share_points(parts.sizes, n_points=count_points(len(table), recipe))
     ticks_per_length = TICKS_PER_S / (recipe.speed_mps or 1.0)
+    contact = float(np.median(table.t_end_ns - table.t_start_ns)) * TICKS_PER_S / NS_PER_S
     placed = []
     for index, n_points in enumerate(shares):
 
@@ -81,7 +82,9 @@ def compute_map(
             report(stage, (done + _STAGES.index(stage) / len(_STAGES)) / len(shares))
 
         placed.append(
-            map_component(parts[index], recipe, rules, index=index, n_points=n_points, ticks_per_length=ticks_per_length, begin=begin)
+            map_component(
+                parts[index], recipe, rules, index=index, n_points=n_points, ticks_per_length=ticks_per_length, contact=contact, begin=begin
+            )
         )
     report("done", 1.0)
     warnings = [*_warn_of_span(table), *_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]

@@ -98,7 +98,7 @@ class BettiRuleKind(StrEnum):
 class BettiRule:
     """Which intervals of one dimension are real; lengths are shares of the metric's diameter.
 
-    ``QUANTILE``: ``length / (r_q + delta) > tau * (1000 / n)**power`` for n encounters that could have become points. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
+    ``QUANTILE``: ``length / (r_q + delta) > tau * (1000 / n)**power`` for n encounters that are no outliers. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
     ``CONNECTED``: no finite interval is real; no number is used.
     """
 
@@ -115,7 +115,9 @@ class Recipe:
 
     ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
     those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
-    vertices around each, ``smoothing_passes`` times. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are smoothed and
+    vertices around each, ``smoothing_passes`` times. ``placed``: they are placed in the plane along the tracks of biobots first, and
+    those placed best become points, if there are landmarks enough and the norm is the largest. Where profiles are compared, no more than
+    ``max_candidates`` of the vertices that are no outliers are smoothed and
     may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
     ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
     those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets the
@@ -127,6 +129,7 @@ class Recipe:
     profile_norm: ProfileNorm
     moving_time: bool
     bracketed: bool
+    placed: bool
     smoothing_share: float
     max_candidates: int
     outlier_k: int
@@ -168,7 +171,7 @@ class ComponentMap:
     ``intervals[k]`` has shape (m, 2): birth and death in dimension k, longest first; a death that never comes is inf.
     ``n_used`` encounters were left after the outliers were dropped. ``cover_radius``: none of those that could have become points is
     further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
-    where a landmark stood. ``n_candidates`` of the encounters used could have become points.
+    where a landmark stood.
     ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``.
     """
 
@@ -183,7 +186,6 @@ class ComponentMap:
     distances: FloatArray
     intervals: tuple[FloatArray, FloatArray]
     betti_numbers: tuple[int, int]
-    n_candidates: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
