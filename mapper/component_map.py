@@ -13,11 +13,12 @@ from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
-from mapper.placement import Placement, keep_best_placed, place_in_plane, placed_profiles
-from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
+from mapper.placement import Placement, place_in_plane, placed_profiles
+from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
+from mapper.views import ONE_VIEW, Views, count_views
 
 MIN_LANDMARKS = 3
 """Landmarks that profiles need: distances to one or two places cannot tell the two sides of a line apart."""
@@ -26,19 +27,21 @@ MIN_LANDMARKS = 3
 _MAX_PROFILE_NUMBERS = 2**26
 _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
-# Of encounters near each other the best placed quarter may become points, but at least twice as many as there will be points (own choice).
-_BEST_SHARE = 0.25
-_CANDIDATES_PER_POINT = 2
+# Of a map that many views were put together to: more points take long.
+_MAX_POINTS_OF_VIEWS = 1500
+# Of the encounters that stand behind a point beyond those it needs, the share that is averaged with it (own choice, on training runs).
+_SPREAD_SHARE = 0.5
 _LEAST_AVERAGED = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Compared:
-    """The metric, which vertices were good enough, which of those may be picked, and where they are if they were placed."""
+    """The metric, which vertices were good enough, which of those may be picked, in how many views they were seen, and where they are."""
 
     metric: Metric
     kept: BoolArray
     candidates: BoolArray
+    views: Views = ONE_VIEW
     placement: Placement | None = None
 
 
@@ -94,15 +97,17 @@ def map_component(
     references, n_anchors, warnings = _choose_references(graph, recipe, index=index)
     compared = _compare_and_filter(graph, references, recipe, n_points=n_points, contact=contact, begin=begin)
     begin("subsample")
-    sample = subsample_maxmin(compared.metric, compared.candidates, n_points=n_points)
+    sample = subsample_maxmin(compared.metric, compared.candidates, n_points=count_points_of_views(n_points, compared.views))
     begin("persistence")
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
     diameter = float(lengths.max())
+    reach = compared.views.reach * diameter
     n_used = int(graph.multiplicity[compared.kept].sum())
+    # Of several views, each sees a part of the encounters.
+    n_seen = n_used // compared.views.number
     real = [
-        judge_intervals(part, rule, diameter=diameter, n_encounters=n_used)
-        for part, rule in zip(diagram.intervals, rules, strict=True)
+        judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)
     ]
     begin("embedding")
     embedding = embed_in_plane(lengths)
@@ -131,6 +136,7 @@ def map_component(
             distances=read_only(lengths),
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
+            reach=reach,
         ),
         encounters=graph.first_encounter[sample.vertices].astype(np.int64),
         coordinates=coordinates,
@@ -139,6 +145,11 @@ def map_component(
         n_anchors=n_anchors,
         warnings=warnings,
     )
+
+
+def count_points_of_views(n_points: int, views: Views) -> int:
+    """Say how many points a map of several views gets, where one view would get ``n_points``."""
+    return max(n_points, min(_MAX_POINTS_OF_VIEWS, round(n_points * views.number)))
 
 
 def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> tuple[IntArray, int, tuple[str, ...]]:
@@ -174,21 +185,16 @@ def _compare_and_filter(
         begin("outliers")
         kept = _inliers(between_profiles, recipe)
         return _Compared(metric=between_profiles, kept=kept, candidates=thin_out(kept, limit=recipe.max_candidates))
-    bracket = bracket_profiles(times_to(graph, references), references, kernels=graph.kernels)
+    times = times_to(graph, references)
+    views = _count_views(graph, references, times)
+    bracket = bracket_profiles(times, references, kernels=graph.kernels)
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
     if recipe.placed and recipe.profile_norm is ProfileNorm.MAX and len(graph.landmarks) >= MIN_LANDMARKS:
-        placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
-        least = _CANDIDATES_PER_POINT * n_points
-        best = keep_best_placed(placement, kept, doubt=bracket.doubt, least=least, share=_BEST_SHARE)
-        candidates = thin_out(best, limit=recipe.max_candidates)
-        n_averaged = max(_LEAST_AVERAGED, round(recipe.smoothing_share * placement.is_placed.sum()))
-        profiles = placed_profiles(graph, placement, candidates, references, middle=bracket.middle, n_neighbours=n_averaged)
-        metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
-        return _Compared(metric=metric, kept=kept, candidates=candidates, placement=placement)
+        return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, n_points=n_points, contact=contact)
     candidates = thin_out(kept, limit=recipe.max_candidates)
     # Of fewer candidates fewer are averaged, over the same area.
-    share = recipe.smoothing_share * (candidates.sum() / kept.sum())
+    share = recipe.smoothing_share * (candidates.sum() / kept.sum()) / views.number
     profiles = bracket.middle
     profiles[candidates] = smooth_profiles(
         profiles[candidates],
@@ -197,7 +203,42 @@ def _compare_and_filter(
         kernels=graph.kernels,
     )
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
-    return _Compared(metric=metric, kept=kept, candidates=candidates)
+    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views)
+
+
+def _place_and_compare(
+    graph: EncounterGraph,
+    references: IntArray,
+    recipe: Recipe,
+    *,
+    bracket: ProfileBracket,
+    kept: BoolArray,
+    views: Views,
+    n_points: int,
+    contact: float,
+) -> _Compared:
+    placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
+    candidates = thin_out(kept & placement.is_placed, limit=recipe.max_candidates)
+    n_averaged = max(_LEAST_AVERAGED, round(recipe.smoothing_share / views.number * placement.is_placed.sum()))
+    profiles = placed_profiles(graph, placement, candidates, references, middle=bracket.middle, n_neighbours=n_averaged)
+    surplus = candidates.sum() / count_points_of_views(n_points, views) - recipe.encounters_per_point
+    profiles[candidates] = smooth_profiles(
+        profiles[candidates],
+        n_neighbours=max(0, round(_SPREAD_SHARE * surplus)),
+        n_passes=recipe.smoothing_passes,
+        kernels=graph.kernels,
+    )
+    metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
+    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, placement=placement)
+
+
+def _count_views(graph: EncounterGraph, references: IntArray, times: FloatArray) -> Views:
+    """Count the views of the swarm by the landmarks among the references; ``times`` as of `times_to`."""
+    columns = np.flatnonzero(np.isin(references, graph.landmarks))
+    if not len(columns):
+        return ONE_VIEW
+    of_landmarks = references[columns]
+    return count_views(times[np.ix_(of_landmarks, columns)], graph.stands[np.searchsorted(graph.landmarks, of_landmarks)])
 
 
 def _inliers(metric: Metric, recipe: Recipe) -> BoolArray:

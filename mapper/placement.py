@@ -1,7 +1,7 @@
 """Place encounters in the plane: a start from their distances to the landmarks, then all tracks of biobots settled together.
 
-Distances to landmarks are of walks, which are crooked. What a single biobot walked between two encounters is hardly so: the way is short, and
-its legs are straight. Each encounter belongs to two tracks, and landmarks to many, so that the tracks hold each other in place.
+Distances to landmarks are of walks, which are crooked. What a single biobot walked between two encounters is hardly so: the way is short,
+and its legs are straight. Each encounter belongs to two tracks, and landmarks to many, so that the tracks hold each other in place.
 """
 
 from dataclasses import dataclass
@@ -25,13 +25,15 @@ _STEPS = 8
 _BLUR_PER_CONTACT = 0.3
 # Where encounters have no length, their places are known to this share of a link.
 _LEAST_BLUR = 0.02
+_DAMPING = 0.1  # of the spread of references along their line
 _STRESS_ROUNDS = 200
 _STRESS_NUMBERS = 2**22  # of all rounds together, beyond which there are fewer
 # Encounters that are placed together, in so many spells of time.
 _MAX_PLACED = 40_000
 _BLOCKS = 8
-_PER_CELL = 20  # encounters compared with each other
+_PER_CELL = 100  # encounters compared with each other
 _DIRECTIONS = 16
+_BEND_PER_DISTANCE = 4.0  # a difference in bends counts as a quarter of one in place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,9 +44,7 @@ class Placement:
     is_placed: BoolArray
 
 
-def place_in_plane(
-    graph: EncounterGraph, references: IntArray, *, middle: FloatArray, doubt: FloatArray, contact: float
-) -> Placement:
+def place_in_plane(graph: EncounterGraph, references: IntArray, *, middle: FloatArray, doubt: FloatArray, contact: float) -> Placement:
     """Place the vertices of a connected graph.
 
     Parameters
@@ -90,7 +90,7 @@ def keep_best_placed(placement: Placement, candidates: BoolArray, *, doubt: Floa
 
     Notes
     -----
-    Near each other are those in one square of a grid that has as many squares as there are twenties of candidates: what is badly seen
+    Near each other are those in one square of a grid that has as many squares as there are hundreds of candidates: what is badly seen
     everywhere keeps its best encounters, so no narrow passage is emptied.
     """
     rows = np.flatnonzero(candidates & placement.is_placed)
@@ -134,9 +134,6 @@ def placed_profiles(
     return profiles
 
 
-_BEND_PER_DISTANCE = 4.0  # a difference in bends counts as a quarter of one in place
-
-
 def _choose_vertices(graph: EncounterGraph, references: IntArray) -> IntArray:
     """Take all vertices, or those of some spells of time and the references; ascending."""
     n = graph.n_vertices
@@ -168,7 +165,10 @@ def _start(middle: FloatArray, references: VertexArray, *, blur: float) -> Float
     centred = placed - placed.mean(axis=0)
     squared = ((placed[:, None] - placed[None]) ** 2).sum(axis=2)
     # Linear in the squared distances: de Silva and Tenenbaum 2004, "Sparse multidimensional scaling using landmark points".
-    start = -0.5 * (middle**2 - squared.mean(axis=0)) @ np.linalg.pinv(centred).T + placed.mean(axis=0)
+    left, spread, right = np.linalg.svd(centred, full_matrices=False)
+    # References near a line say next to nothing of places beside it: damped, or the error of a distance would be multiplied.
+    damped = spread / (spread**2 + (_DAMPING * spread[0]) ** 2)
+    start = -0.5 * (middle**2 - squared.mean(axis=0)) @ (left * damped) @ right + placed.mean(axis=0)
     start[references] = placed
     return np.asarray(start)
 

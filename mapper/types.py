@@ -115,13 +115,13 @@ class Recipe:
 
     ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
     those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
-    vertices around each, ``smoothing_passes`` times. ``placed``: they are placed in the plane along the tracks of biobots first, and
-    those placed best become points, if there are landmarks enough and the norm is the largest. Where profiles are compared, no more than
-    ``max_candidates`` of the vertices that are no outliers are smoothed and
-    may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
+    vertices around each, ``smoothing_passes`` times. ``placed``: they are placed in the plane along the tracks of biobots first, if there
+    are landmarks enough and the norm is the largest, and what is averaged then is what stands behind a point beyond
+    ``encounters_per_point``. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are
+    smoothed and may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
     ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
-    those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets the
-    holes found decide. ``speed_mps`` None gives lengths in seconds.
+    those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets
+    the holes found decide. ``speed_mps`` None gives lengths in seconds.
     """
 
     method: Method
@@ -172,7 +172,8 @@ class ComponentMap:
     ``n_used`` encounters were left after the outliers were dropped. ``cover_radius``: none of those that could have become points is
     further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
     where a landmark stood.
-    ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``.
+    ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``. ``reach``: how far the swarm saw at
+    one time, which is the diameter where it did not move on; None in maps of earlier versions.
     """
 
     n_encounters: int
@@ -186,6 +187,7 @@ class ComponentMap:
     distances: FloatArray
     intervals: tuple[FloatArray, FloatArray]
     betti_numbers: tuple[int, int]
+    reach: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -151,7 +151,9 @@ def describe(shapes: Sequence[Shape]) -> str:
     return f"{first.preset:11} {first.scenario:13} {first.method:8} " + "   ".join(figures)
 
 
-HEADER = "preset      scenario      method   d_B H1 [%]    d_B H0 [%]    distances [%] scale (+- deviation) placement [%] exact  holes right"
+HEADER = (
+    "preset      scenario      method   d_B H1 [%]    d_B H0 [%]    distances [%] scale (+- deviation) placement [%] exact  holes right"
+)
 
 
 def _mean_and_error(values: Sequence[float]) -> str:

@@ -63,13 +63,11 @@ class Kernels(Protocol):
         than 1e-150 or further apart than 1e150.
         """
 
-    def settle_tracks(
-        self, links: Links, start: FloatArray, pull: FloatArray, *, tension: Tension, rounds: int, steps: int
-    ) -> FloatArray:
+    def settle_tracks(self, links: Links, start: FloatArray, pull: FloatArray, *, tension: Tension, rounds: int, steps: int) -> FloatArray:
         """Move places in the plane, shape (v, 2), to where the links between them want them; see `mapper.placement`.
 
-        ``pull``, shape (v,), above 0, draws each to where it starts; ``rounds`` times all is weighed by how well it fits, and ``steps`` steps
-        of conjugate gradients are made. Sums are made in the order of the links.
+        ``pull``, shape (v,), above 0, draws each to where it starts; ``rounds`` times all is weighed by how well it fits, and ``steps``
+        steps of conjugate gradients are made. Sums are made in the order of the links.
         """
 
 

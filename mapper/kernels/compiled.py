@@ -170,9 +170,7 @@ class CompiledKernels:
         _share(run, n_leaves, per_thread=_LEAVES_OF_A_THREAD)
         return means
 
-    def settle_tracks(
-        self, links: Links, start: FloatArray, pull: FloatArray, *, tension: Tension, rounds: int, steps: int
-    ) -> FloatArray:
+    def settle_tracks(self, links: Links, start: FloatArray, pull: FloatArray, *, tension: Tension, rounds: int, steps: int) -> FloatArray:
         """See `Kernels.settle_tracks`."""
         first, pull, xy = np.ascontiguousarray(start), np.ascontiguousarray(pull), np.empty((len(start), 2))
         chain = (_address(links.sources), _address(links.targets), _address(links.before), _address(links.times))

@@ -186,9 +186,7 @@ class PlainKernels:
             means[begin : begin + _ROWS_AT_ONCE] = total / n_nearest
         return means
 
-    def settle_tracks(
-        self, links: Links, start: FloatArray, pull: FloatArray, *, tension: Tension, rounds: int, steps: int
-    ) -> FloatArray:
+    def settle_tracks(self, links: Links, start: FloatArray, pull: FloatArray, *, tension: Tension, rounds: int, steps: int) -> FloatArray:
         """See `Kernels.settle_tracks`."""
         return settle(links, start, pull, tension=tension, rounds=rounds, steps=steps)
 

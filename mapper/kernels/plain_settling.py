@@ -15,6 +15,15 @@ _NO_LENGTH: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Weights:
+    """Of lengths and of changes of velocity, shape (k,), and the diagonal of the equations (v,)."""
+
+    tension: FloatArray
+    stiffness: FloatArray
+    diagonal: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Net:
     """The equations: where each link adds to, and how much.
 
@@ -39,8 +48,8 @@ def settle(links: Links, start: FloatArray, pull: FloatArray, *, tension: Tensio
     net = _make_net(links, pull, blur=tension.blur)
     xy = start.copy()
     for _ in range(rounds):
-        weights, stiffness, diagonal, right = _weigh(net, start, xy, tension)
-        xy = _solve(net, weights, stiffness, diagonal, right, xy, steps=steps)
+        weights, right = _weigh(net, start, xy, tension)
+        xy = _solve(net, weights, right, xy, steps=steps)
     return xy
 
 
@@ -64,10 +73,8 @@ def _make_net(links: Links, pull: FloatArray, *, blur: float) -> _Net:
     )
 
 
-def _weigh(
-    net: _Net, start: FloatArray, xy: FloatArray, tension: Tension
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return weights of lengths and of changes of velocity, shape (k,), the diagonal (v,), and the right side (v, 2)."""
+def _weigh(net: _Net, start: FloatArray, xy: FloatArray, tension: Tension) -> tuple[_Weights, FloatArray]:
+    """Return the weights, and the right side of the equations, shape (v, 2)."""
     blur2, swerve2 = tension.blur * tension.blur, tension.swerve * tension.swerve
     apart = xy[net.target] - xy[net.source]
     length = np.sqrt(apart[:, 0] * apart[:, 0] + apart[:, 1] * apart[:, 1]) + _NO_LENGTH * tension.blur
@@ -87,7 +94,7 @@ def _weigh(
     diagonal = net.pull.copy()
     shares = np.column_stack([weights, weights, stiffness * s * s, stiffness * f * f, stiffness * m * m])
     np.add.at(diagonal, net.places, shares[net.is_used])
-    return weights, stiffness, diagonal, right
+    return _Weights(tension=weights, stiffness=stiffness, diagonal=diagonal), right
 
 
 def _changes(net: _Net, xy: FloatArray) -> FloatArray:
@@ -96,10 +103,10 @@ def _changes(net: _Net, xy: FloatArray) -> FloatArray:
     return np.asarray(s * xy[net.target] + f * xy[net.origin] - (f + s) * xy[net.source])
 
 
-def _apply(net: _Net, weights: FloatArray, stiffness: FloatArray, xy: FloatArray) -> FloatArray:
+def _apply(net: _Net, weights: _Weights, xy: FloatArray) -> FloatArray:
     left = net.pull[:, None] * xy
-    drawn = weights[:, None] * (xy[net.target] - xy[net.source])
-    bent = stiffness[:, None] * _changes(net, xy)
+    drawn = weights.tension[:, None] * (xy[net.target] - xy[net.source])
+    bent = weights.stiffness[:, None] * _changes(net, xy)
     s, f = net.to_target[:, None], net.to_origin[:, None]
     parts = np.stack([drawn, -drawn, s * bent, f * bent, -((f + s) * bent)], axis=1)
     np.add.at(left, net.places, parts[net.is_used])
@@ -118,18 +125,16 @@ def _ratio(one: FloatArray, other: FloatArray) -> FloatArray:
     return np.divide(one, other, out=np.zeros(2), where=other > 0)
 
 
-def _solve(
-    net: _Net, weights: FloatArray, stiffness: FloatArray, diagonal: FloatArray, right: FloatArray, xy: FloatArray, *, steps: int
-) -> FloatArray:
-    residual = right - _apply(net, weights, stiffness, xy)
-    way = residual / diagonal[:, None]
+def _solve(net: _Net, weights: _Weights, right: FloatArray, xy: FloatArray, *, steps: int) -> FloatArray:
+    residual = right - _apply(net, weights, xy)
+    way = residual / weights.diagonal[:, None]
     before = _multiply(residual, way)
     for _ in range(steps):
-        left = _apply(net, weights, stiffness, way)
+        left = _apply(net, weights, way)
         step = _ratio(before, _multiply(way, left))
         xy = xy + step * way
         residual = residual - step * left
-        scaled = residual / diagonal[:, None]
+        scaled = residual / weights.diagonal[:, None]
         now = _multiply(residual, scaled)
         way = scaled + _ratio(now, before) * way
         before = now

@@ -81,6 +81,8 @@ def _unfit(table: StimulationTable, limits: Limits | None, train: Stimulate | No
         value > limit for limit_s in most for value, limit in zip(has, limit_s, strict=True)
     ):
         yield f"has (Hz, mV, us, ms) {has}, beyond {most}, or less than {table.min_frequency_hz} Hz"
+    if not train.amplitude_mv and train.action in {Action.TURN_LEFT, Action.TURN_RIGHT}:
+        yield "was a turn without amplitude"
     if train.waveform is Waveform.MONOPHASIC and not table.allows_unbalanced:
         yield "was not balanced in charge"
 
@@ -132,6 +134,8 @@ def _moves(one: Actuation, call: Call, *, flight_ns: int) -> Iterator[str]:
         yield f"late: {_said(one)} of {_named(call)} came {late_ns / NS_PER_S:.3f} s after its time to live and the flight"
     if not call.given.is_commander_there:
         yield f"no commander: {_said(one)} of {_named(call)}"
+    if request.commander and not request.hold_ms:
+        yield f"no hold: {_said(one)} of {_named(call)}"
 
 
 def _newer_stop(world: World, call: Call) -> Call | None:

@@ -72,6 +72,7 @@ PULSES: Sequence[PulseRequest | None] = (
     PulseRequest(amplitude_mv=2_001),
     PulseRequest(frequency_hz=60),
     PulseRequest(frequency_hz=49),
+    PulseRequest(amplitude_mv=0),
     PulseRequest(pulse_width_us=9_001),
     PulseRequest(waveform=WaveformName.MONOPHASIC),
     PulseRequest(channel=7),

@@ -37,6 +37,8 @@ class Frame:
     is_urgent: bool
     sending: "asyncio.Future[RadioOutcome]"
     radio: str = ""
+    n_waiting: int = 0
+    """Frames that were not urgent and waited when this one was given."""
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -96,7 +98,8 @@ class FakeAir:
 
     def _send(self, node: NodeId | None, message: Stimulate, *, is_urgent: bool, radio: str = "") -> "asyncio.Future[RadioOutcome]":
         loop = asyncio.get_running_loop()
-        frame = Frame(node=node, message=message, is_urgent=is_urgent, radio=radio, sending=loop.create_future())
+        n_waiting = sum(not one.is_urgent and not one.sending.done() for one in self.frames)
+        frame = Frame(node=node, message=message, is_urgent=is_urgent, radio=radio, n_waiting=n_waiting, sending=loop.create_future())
         self.frames.append(frame)
         if not self.is_stuck and radio not in self.stuck:
             frame.sending.set_result(RadioOutcome(fate=self.fate))
