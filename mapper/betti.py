@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 import numpy as np
 
@@ -28,13 +29,24 @@ class TrainedRules:
 
 def load_trained_rules(method: Method, metric: MetricKind) -> TrainedRules:
     """Read the rules that the package ships for one method and metric."""
-    entries = json.loads(resources.files("mapper").joinpath("data", "classifier.json").read_text(encoding="utf-8"))
-    entry = entries[f"{method}/{metric}"]
-    rules = [
-        BettiRule(kind=BettiRuleKind(rule["rule"]), q=float(rule["q"]), delta=float(rule["delta"]), tau=float(rule["tau"]), power=float(rule["power"]))
+    entry = read_rules()[f"{method}/{metric}"]
+    merges, loops = (
+        BettiRule(
+            kind=BettiRuleKind(rule["rule"]),
+            q=float(rule["q"]),
+            delta=float(rule["delta"]),
+            tau=float(rule["tau"]),
+            power=float(rule["power"]),
+        )
         for rule in (entry["dimension_0"], entry["dimension_1"])
-    ]
-    return TrainedRules(rules=(rules[0], rules[1]), trained_on=entry["trained_on"], command=entry["command"])
+    )
+    return TrainedRules(rules=(merges, loops), trained_on=entry["trained_on"], command=entry["command"])
+
+
+def read_rules() -> dict[str, Any]:
+    """Read ``classifier.json`` as it is: an entry for each method and metric."""
+    entries: dict[str, Any] = json.loads(resources.files("mapper").joinpath("data", "classifier.json").read_text(encoding="utf-8"))
+    return entries
 
 
 def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float, n_encounters: int = REFERENCE_ENCOUNTERS) -> BoolArray:
@@ -76,5 +88,15 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float, 
             is_real = ratio > _FEW_INTERVALS_RATIO
         case BettiRuleKind.QUANTILE:
             scale = float(np.quantile(length[is_finite], rule.q, method="lower")) + rule.delta
-            is_real = length > rule.tau * (REFERENCE_ENCOUNTERS / min(max(n_encounters, 1), _MOST_ENCOUNTERS)) ** rule.power * scale
+            is_real = length > rule.tau * share_of_tau(n_encounters, power=rule.power) * scale
     return np.asarray((is_real & is_finite) | is_infinite)
+
+
+def share_of_tau(n_encounters: int, *, power: float) -> float:
+    """Return the factor to ``tau`` with so many encounters: 1 with a thousand, never less than with 20,000.
+
+    Notes
+    -----
+    The more encounters there are, the less do the longest intervals of noise stand out from the others (docs/method.md).
+    """
+    return float((REFERENCE_ENCOUNTERS / min(max(n_encounters, 1), _MOST_ENCOUNTERS)) ** power)

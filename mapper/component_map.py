@@ -105,10 +105,8 @@ def map_component(
     reach = compared.views.reach * diameter
     n_used = int(graph.multiplicity[compared.kept].sum())
     # Of several views, each sees a part of the encounters.
-    n_seen = n_used // compared.views.number
-    real = [
-        judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)
-    ]
+    n_seen = int(n_used / compared.views.number)
+    real = [judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)]
     begin("embedding")
     embedding = embed_in_plane(lengths)
     coordinates = embedding.coordinates

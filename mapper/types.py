@@ -98,7 +98,8 @@ class BettiRuleKind(StrEnum):
 class BettiRule:
     """Which intervals of one dimension are real; lengths are shares of the metric's diameter.
 
-    ``QUANTILE``: ``length / (r_q + delta) > tau * (1000 / n)**power`` for n encounters that are no outliers. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
+    ``QUANTILE``: ``length / (r_q + delta) > tau * (1000 / n)**power`` for n encounters that are no outliers. ``RATIO``:
+    ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
     ``CONNECTED``: no finite interval is real; no number is used.
     """
 

@@ -58,9 +58,7 @@ def explore(world: World, *, landmarks: int, duration_s: float, dispersion_s: fl
     zero_ns = round(dispersion_s * NS_PER_S)
     commanded = tuple(ModeSpell(node=NodeId(one), t_start_ns=zero_ns, t_end_ns=None, mode=Mode.S, cause=Cause.COMMAND) for one in chosen)
     n_together = sum(begin <= dispersion_s < end for begin, end, _, _ in spans)
-    return Exploration(
-        table=tabulate(spans, from_s=dispersion_s), spells=commanded + _natural_stops(events), n_together=n_together
-    )
+    return Exploration(table=tabulate(spans, from_s=dispersion_s), spells=commanded + _natural_stops(events), n_together=n_together)
 
 
 def tabulate(spans: Sequence[tuple[float, float, int, int]], *, from_s: float) -> EncounterTable:
