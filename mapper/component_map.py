@@ -13,10 +13,10 @@ from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
-from mapper.placement import Placement, keep_best_placed, place_in_plane, placed_profiles
+from mapper.placement import Placement, place_in_plane, placed_profiles
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
-from mapper.subsampling import subsample_maxmin
+from mapper.subsampling import stand_for, subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
 from mapper.views import ONE_VIEW, Views, count_views
 
@@ -29,10 +29,8 @@ _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
 # Of a map that many views were put together to: more points take long.
 _MAX_POINTS_OF_VIEWS = 1500
-# Of encounters near each other the best placed quarter may become points, but at least twice as many as there will be points (own choice).
-_BEST_SHARE = 0.25
-_CANDIDATES_PER_POINT = 2
-_LEAST_AVERAGED = 4
+# Own choice: fewer do not take the crookedness of walks away, where encounters are few.
+_LEAST_AVERAGED = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,7 +94,7 @@ def map_component(
     """
     begin("metric")
     references, n_anchors, warnings = _choose_references(graph, recipe, index=index)
-    compared = _compare_and_filter(graph, references, recipe, n_points=n_points, contact=contact, begin=begin)
+    compared = _compare_and_filter(graph, references, recipe, contact=contact, begin=begin)
     begin("subsample")
     sample = subsample_maxmin(compared.metric, compared.candidates, n_points=count_points_of_views(n_points, compared.views))
     begin("persistence")
@@ -107,9 +105,11 @@ def map_component(
     real = [judge_intervals(part, rule, diameter=reach) for part, rule in zip(diagram.intervals, rules, strict=True)]
     begin("embedding")
     embedding = embed_in_plane(lengths)
-    coordinates = embedding.coordinates
-    if compared.placement is not None:
-        coordinates = turn_to_axes(compared.placement.xy[sample.vertices] / ticks_per_length)
+    vertices, coordinates = sample.vertices, embedding.coordinates
+    if compared.placement is not None and isinstance(compared.metric, ProfileMetric):
+        places = compared.placement
+        vertices = stand_for(sample, compared.metric, compared.candidates, doubt=places.doubt, xy=places.xy)
+        coordinates = turn_to_axes(places.xy[vertices] / ticks_per_length)
     merges, loops = diagram.intervals
     holes = tuple(
         Hole(component=index, birth=birth, death=death, outline=outline)
@@ -134,7 +134,7 @@ def map_component(
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
         ),
-        encounters=graph.first_encounter[sample.vertices].astype(np.int64),
+        encounters=graph.first_encounter[vertices].astype(np.int64),
         coordinates=coordinates,
         holes=holes,
         skeleton=build_skeleton(lengths, epsilon=epsilon),
@@ -168,7 +168,7 @@ def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> 
 
 
 def _compare_and_filter(
-    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, n_points: int, contact: float, begin: Callable[[str], None]
+    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, contact: float, begin: Callable[[str], None]
 ) -> _Compared:
     """Make the metric, and say which vertices are good enough, and which of those may be picked."""
     if recipe.metric is MetricKind.ENCOUNTER:
@@ -187,7 +187,7 @@ def _compare_and_filter(
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
     if recipe.placed and recipe.profile_norm is ProfileNorm.MAX and len(graph.landmarks) >= MIN_LANDMARKS:
-        return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, n_points=n_points, contact=contact)
+        return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, contact=contact)
     candidates = thin_out(kept, limit=recipe.max_candidates)
     # Of fewer candidates fewer are averaged, over the same area.
     share = recipe.smoothing_share * (candidates.sum() / kept.sum()) / views.number
@@ -205,13 +205,10 @@ def _place_and_compare(
     bracket: ProfileBracket,
     kept: BoolArray,
     views: Views,
-    n_points: int,
     contact: float,
 ) -> _Compared:
     placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
-    least = _CANDIDATES_PER_POINT * count_points_of_views(n_points, views)
-    best = keep_best_placed(placement, kept, doubt=bracket.doubt, least=least, share=_BEST_SHARE)
-    candidates = thin_out(best, limit=recipe.max_candidates)
+    candidates = thin_out(kept & placement.is_placed, limit=recipe.max_candidates)
     n_averaged = max(_LEAST_AVERAGED, round(recipe.smoothing_share / views.number * placement.is_placed.sum()))
     profiles = placed_profiles(graph, placement, candidates, references, middle=bracket.middle, n_neighbours=n_averaged)
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
