@@ -95,7 +95,7 @@ def map_component(
     """
     begin("metric")
     references, n_anchors, warnings = _choose_references(graph, recipe, index=index)
-    compared = _compare_and_filter(graph, references, recipe, contact=contact, begin=begin)
+    compared = _compare_and_filter(graph, references, recipe, n_points=n_points, contact=contact, begin=begin)
     begin("subsample")
     sample = subsample_maxmin(compared.metric, compared.candidates, n_points=count_points_of_views(n_points, compared.views))
     begin("persistence")
@@ -172,7 +172,7 @@ def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> 
 
 
 def _compare_and_filter(
-    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, contact: float, begin: Callable[[str], None]
+    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, n_points: int, contact: float, begin: Callable[[str], None]
 ) -> _Compared:
     """Make the metric, and say which vertices are good enough, and which of those may be picked."""
     if recipe.metric is MetricKind.ENCOUNTER:
@@ -191,7 +191,7 @@ def _compare_and_filter(
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
     if recipe.placed and recipe.profile_norm is ProfileNorm.MAX and len(graph.landmarks) >= MIN_LANDMARKS:
-        return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, contact=contact)
+        return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, n_points=n_points, contact=contact)
     candidates = thin_out(kept, limit=recipe.max_candidates)
     # Of fewer candidates fewer are averaged, over the same area.
     share = recipe.smoothing_share * (candidates.sum() / kept.sum()) / views.number
@@ -214,6 +214,7 @@ def _place_and_compare(
     bracket: ProfileBracket,
     kept: BoolArray,
     views: Views,
+    n_points: int,
     contact: float,
 ) -> _Compared:
     placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
