@@ -9,10 +9,13 @@ import numpy as np
 from mapper.betti import judge_intervals
 from mapper.embedding import embed_in_plane
 from mapper.encounter_graph import EncounterGraph
-from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, times_to
+from mapper.hole_shapes import shape_hole
+from mapper.hole_sizes import load_size_model
+from mapper.metric import EncounterMetric, Metric, ProfileMetric, distances_to, profile_metric, times_to
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
+from mapper.placing import place_among
 from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import subsample_maxmin
@@ -31,13 +34,15 @@ _LEAST_MOST = 32
 class PlacedComponent:
     """A component's map before it is put beside the others; point indices count from 0 within it.
 
-    ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2). ``n_anchors`` encounters served as
+    ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2), and
+    ``others``, shape (k, 2), are the places of the further vertices asked for. ``n_anchors`` encounters served as
     references because landmarks were too few.
     """
 
     summary: ComponentMap
     encounters: IntArray
     coordinates: FloatArray
+    others: FloatArray
     holes: tuple[Hole, ...]
     skeleton: Skeleton
     n_anchors: int
@@ -51,6 +56,7 @@ def map_component(
     *,
     index: int,
     n_points: int,
+    others: IntArray,
     ticks_per_length: float,
     begin: Callable[[str], None],
 ) -> PlacedComponent:
@@ -62,6 +68,8 @@ def map_component(
         Which component this is, for its holes and warnings.
     n_points
         Size of the subsample.
+    others
+        Vertices to be placed besides, shape (k,); they change nothing else.
     ticks_per_length
         Ticks in one unit of length of the map.
     begin
@@ -85,8 +93,16 @@ def map_component(
     begin("embedding")
     embedding = embed_in_plane(lengths)
     merges, loops = diagram.intervals
+    n_used = int(graph.multiplicity[kept].sum())
+    size_model = load_size_model(recipe.method, recipe.metric)
     holes = tuple(
-        Hole(component=index, birth=birth, death=death, outline=outline)
+        shape_hole(
+            Hole(component=index, birth=birth, death=death, outline=outline),
+            embedding.coordinates,
+            lengths,
+            n_used=n_used,
+            model=size_model,
+        )
         for (birth, death), outline in zip(loops[real[1]].tolist(), outline_holes(lengths, diagram, np.flatnonzero(real[1])), strict=True)
     )
     if recipe.epsilon_share is None:
@@ -96,7 +112,7 @@ def map_component(
     return PlacedComponent(
         summary=ComponentMap(
             n_encounters=graph.n_encounters,
-            n_used=int(graph.multiplicity[kept].sum()),
+            n_used=n_used,
             n_points=len(sample.vertices),
             n_landmarks=len(graph.landmarks),
             diameter=diameter,
@@ -109,6 +125,7 @@ def map_component(
         ),
         encounters=graph.first_encounter[sample.vertices].astype(np.int64),
         coordinates=embedding.coordinates,
+        others=place_among(distances_to(metric, others, sample.vertices) / ticks_per_length, lengths, embedding.coordinates),
         holes=holes,
         skeleton=build_skeleton(lengths, epsilon=epsilon),
         n_anchors=n_anchors,
