@@ -1,7 +1,7 @@
 """Commands of the mapper, their flags and outputs.
 
-``run`` maps a file, ``route`` finds ways around its obstacles, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need,
-``config`` prints what a configuration file may say.
+``run`` maps a file, ``route`` finds ways around its obstacles, ``merge`` maps several as one, ``serve`` keeps a map up to date,
+``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need, ``config`` prints what a configuration file may say.
 """
 
 import argparse
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _MAX_ID = 2**63 - 1
 MAX_CLASSES = 16
 """As `mapper.routes` has it, which takes numpy to import."""
+_MAX_SHIFT_S = 4e9  # as times of the files
 _NEGATIVE = re.compile(r"-([0-9]+\.?[0-9]*|\.[0-9]+)[eE][+-]?[0-9]+|-(inf|infinity|nan)", re.ASCII | re.IGNORECASE)
 _EXIT_FAILED, _EXIT_USAGE = 1, 2
 _TITLE = (
@@ -59,22 +60,22 @@ def run_command_line(given: Sequence[str]) -> int:
 def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     if args.check_config:
         return _check_configuration(args)
-    if args.command == "run":
-        return _run(args, parser)
     if args.command == "serve":
         from mapper.service import main as serve  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
 
         return serve(args)
-    if args.command == "route":
-        return _route(args, parser)
-    if args.command == "feasibility":
-        return _foretell(args)
-    if args.command == "warm-up":
-        return _warm_up(args)
-    if args.command == "config":
-        return _print_config(args)
+    commands: dict[str, Callable[[], int]] = {
+        "run": lambda: _run(args, parser),
+        "route": lambda: _route(args, parser),
+        "merge": lambda: _merge(args, parser),
+        "feasibility": lambda: _foretell(args),
+        "warm-up": lambda: _warm_up(args),
+        "config": lambda: _print_config(args),
+    }
+    if args.command in commands:
+        return commands[args.command]()
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, route, serve, feasibility, warm-up or config"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, route, merge, serve, feasibility, warm-up or config"], status=_EXIT_USAGE)
 
 
 def _check_configuration(args: argparse.Namespace) -> int:
@@ -164,6 +165,20 @@ def _route(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     return run(args, make_recipe(config.recipe))
 
 
+def _merge(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    if not args.inputs:
+        parser.error("merge: give recordings or maps: CSV files, directories of runs, or JSON files of biobot-mapper run")
+    config = load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
+    from mapper.merge_command import merge  # noqa: PLC0415  # see _run
+
+    check_outputs(_given(args.json, args.svg, args.png, args.geojson), _given(*args.inputs, *args.modes, args.config))
+    result, facts = merge(args, make_recipe(config.recipe))
+    for warning in result.warnings:
+        print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
+    _write_outputs(result, facts, args, part=f"{len(args.inputs)} recordings or maps as one", pinned=None)
+    return 0
+
+
 def _foretell(args: argparse.Namespace) -> int:
     from mapper.feasibility_report import report, to_json  # noqa: PLC0415  # see _run
 
@@ -202,7 +217,7 @@ def _given(*paths: Path | None) -> list[Path]:
 
 
 def _write_outputs(
-    result: MapResult, facts: Mapping[str, float | None], args: argparse.Namespace, *, part: str | None, pinned: "Pinned | None"
+    result: MapResult, facts: Mapping[str, object], args: argparse.Namespace, *, part: str | None, pinned: "Pinned | None"
 ) -> None:
     from mapper.geojson import describe_frame, summarize_frame, to_geojson  # noqa: PLC0415  # see _run
     from mapper.render import render_map  # noqa: PLC0415  # see _run
@@ -228,7 +243,7 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
     parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
-    commands = parser.add_subparsers(dest="command", metavar="{run,route,serve,feasibility,warm-up,config}")
+    commands = parser.add_subparsers(dest="command", metavar="{run,route,merge,serve,feasibility,warm-up,config}")
     run = commands.add_parser("run", help="make a map of a CSV file", description="Make a map of a CSV file of encounters.")
     _add_common(run, default=argparse.SUPPRESS)
     _add_run_arguments(run)
@@ -238,6 +253,10 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     route = commands.add_parser("route", help="find routes around obstacles between two places", description=about)
     _add_common(route, default=argparse.SUPPRESS)
     _add_route_arguments(route)
+    about = "Make one map of several recordings: successive windows of a swarm that moves on, or sites that share landmarks or biobots."
+    merge = commands.add_parser("merge", help="make one map of several recordings", description=about)
+    _add_common(merge, default=argparse.SUPPRESS)
+    _add_merge_arguments(merge)
     serve = commands.add_parser("serve", help="keep a live map and serve it", description="Keep a live map and serve it over HTTP.")
     _add_common(serve, default=argparse.SUPPRESS)
     if "serve" in given:
@@ -272,15 +291,34 @@ def _add_common(parser: argparse.ArgumentParser, *, default: str | None) -> None
 
 def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("encounters", type=Path, nargs="?", help="CSV with the columns t_start_s,t_end_s,id1,id2; - is standard input")
-    _add_source_arguments(run)
+    run.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
+    run.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
     run.add_argument("--from-s", type=float, metavar="T", help="leave out what was over at this time of the file")
     run.add_argument("--until-s", type=float, metavar="T", help="leave out what had not begun at this time of the file")
     run.add_argument("--window-s", type=float, metavar="S", help="leave out what was over S before the newest encounter's end")
+    run.add_argument("--pins", type=Path, metavar="FILE", help="TOML, JSON or CSV: known places that fix the map in your own frame")
+    _add_map_arguments(run)
+
+
+def _add_merge_arguments(merge: argparse.ArgumentParser) -> None:
+    merge.add_argument(
+        "inputs", type=Path, nargs="*", metavar="INPUT", help="CSV of encounters, or a directory with encounters.csv and modes.csv"
+    )
+    merge.add_argument(
+        "--modes", type=Path, action="append", default=[], metavar="FILE", help="CSV of modes; once for each CSV of encounters, in order"
+    )
+    merge.add_argument("--shift-s", type=_seconds, metavar="S,S", help="add to the times of each input, in order: clocks that differ")
+    merge.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
+    _add_map_arguments(merge)
+
+
+def _add_map_arguments(run: argparse.ArgumentParser) -> None:
+    """Add what all commands that make a map take: the recipe, and where results go."""
+    _add_recipe_arguments(run)
     run.add_argument("--json", type=Path, metavar="FILE", help="write the map as JSON; - is standard output, then without the summary")
     run.add_argument("--svg", type=Path, metavar="FILE", help="write a picture; - as above")
     run.add_argument("--png", type=Path, metavar="FILE", help="write a picture; - as above")
     run.add_argument("--geojson", type=Path, metavar="FILE", help="write the map as GeoJSON; - as above")
-    run.add_argument("--pins", type=Path, metavar="FILE", help="TOML, JSON or CSV: known places that fix the map in your own frame")
 
 
 def _add_route_arguments(route: argparse.ArgumentParser) -> None:
@@ -290,12 +328,12 @@ def _add_route_arguments(route: argparse.ArgumentParser) -> None:
     route.add_argument("--to", dest="end", metavar="PLACE", help="as --from")
     route.add_argument("--classes", type=_classes, default=3, metavar="K", help="routes of so many kinds at most (default: %(default)s)")
     route.add_argument("--json", type=Path, nargs="?", const=STANDARD, metavar="FILE", help="write JSON; without FILE to standard output")
-    _add_source_arguments(route)
+    route.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
+    route.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
+    _add_recipe_arguments(route)
 
 
-def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
-    parser.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
+def _add_recipe_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speed-mps", type=float, metavar="V", help="walking speed [m/s]: lengths are then metres, else seconds")
     parser.add_argument("--method", choices=[str(method) for method in Method], help="the whole recipe (default: default)")
     metrics = [str(metric) for metric in MetricKind]
@@ -329,6 +367,16 @@ def _ids(text: str) -> tuple[int, ...]:
     if wrong:
         raise argparse.ArgumentTypeError(f"{wrong[0]!r} is no id; wanted whole numbers from 0 to 2^63-1, as 3,17,20")
     return tuple(int(part) for part in parts)
+
+
+def _seconds(text: str) -> tuple[float, ...]:
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if not found or not all(abs(one) <= _MAX_SHIFT_S for one in found):
+        raise argparse.ArgumentTypeError(f"{text!r}; wanted seconds for each input, at most {_MAX_SHIFT_S:g} either way, as 0,-12.5")
+    return found
 
 
 def _complain(lines: Sequence[str], *, status: int) -> int:
