@@ -78,11 +78,13 @@ def crossing_sides(starts: FloatArray, ends: FloatArray, corners: FloatArray) ->
 
 
 def is_simple(corners: FloatArray) -> bool:
-    """Say whether no two sides meet but neighbours at their corner, and no corner is there twice."""
+    """Say whether no two sides meet but neighbours, at their corner alone, and no corner is there twice."""
     m = len(corners)
     if m < 3 or len(np.unique(corners, axis=0)) < m:
         return False
-    return _first_crossing(corners) is None
+    before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
+    folds_back = (_turn(before, corners, after) == 0) & (((before - corners) * (after - corners)).sum(axis=1) > 0)
+    return not folds_back.any() and _first_crossing(corners) is None
 
 
 def uncross(corners: FloatArray) -> FloatArray | None:
