@@ -16,7 +16,7 @@ from mapper.types import FloatArray
 _LEAST_WIDTH = 0.02
 # The mirrored fit must be worse by this factor, or which one is right is not certain.
 _CLEARLY_WORSE = 2.0
-_OUTLIER_TIMES = 3.0
+_FALSE_ALARMS = 0.02
 _LEAST_FOR_OUTLIER = 4
 # WGS 84: semi-major axis [m] and flattening (NGA.STND.0036, table 3.1).
 _SEMI_MAJOR_M, _FLATTENING = 6_378_137.0, 1.0 / 298.257_223_563
@@ -213,7 +213,11 @@ def _spread(places: FloatArray) -> tuple[float, float]:
 
 
 def _name_outlier(on_map: FloatArray, known: FloatArray, names: list[str]) -> list[str]:
-    """Name the pin without which all others agree far better; of three pins none can be told from the others."""
+    """Name the pin that lies further from where the others put it than they scatter; of three pins none can be told from the others.
+
+    By an F test with 2 and ``2 m - 4`` degrees of freedom for m other pins, so that of maps whose pins are all right one in 50 is told one
+    is not. Its tail is ``(1 + 2 f / d)^(-d / 2)``.
+    """
     n = len(names)
     if n < _LEAST_FOR_OUTLIER:
         return []
@@ -221,15 +225,20 @@ def _name_outlier(on_map: FloatArray, known: FloatArray, names: list[str]) -> li
     for left_out in range(n):
         kept = np.arange(n) != left_out
         fits = [_fit(on_map[kept], known[kept], is_mirrored=is_mirrored) for is_mirrored in (False, True)]
-        rms, fit = min(
-            ((float(np.sqrt(np.mean(_residuals(one, on_map[kept], known[kept]) ** 2))), one) for one in fits), key=lambda pair: pair[0]
+        squares, fit = min(
+            ((float((_residuals(one, on_map[kept], known[kept]) ** 2).sum()), one) for one in fits), key=lambda pair: pair[0]
         )
         off = float(_residuals(fit, on_map[left_out : left_out + 1], known[left_out : left_out + 1])[0])
-        found.append((rms, off, left_out))
-    rms, off, worst = min(found)
-    others = sorted(rms for rms, _, left_out in found if left_out != worst)
+        found.append((squares, off, left_out))
+    squares, off, worst = min(found)
+    freedom = 2 * (n - 1) - 4
     # What is exact but for rounding is no outlier of anything.
-    floor = 1e-9 * (1.0 + float(np.abs(known).max()))
-    if off <= _OUTLIER_TIMES * max(rms, floor) or others[0] <= _OUTLIER_TIMES * max(rms, floor):
+    variance = max(squares / freedom, (1e-9 * (1.0 + float(np.abs(known).max()))) ** 2)
+    others = on_map[np.arange(n) != worst]
+    middle = others.mean(axis=0)
+    leverage = 1.0 / (n - 1) + float(((on_map[worst] - middle) ** 2).sum() / ((others - middle) ** 2).sum())
+    f = off**2 / (2.0 * variance * (1.0 + leverage))
+    if (1.0 + 2.0 * f / freedom) ** (-freedom / 2.0) > _FALSE_ALARMS / n:
         return []
+    rms = sqrt(squares / (n - 1))
     return [f"{names[worst]} is {off:.3g} m from where the other {n - 1} pins put it, which agree within {rms:.3g} m rms; check its place"]

@@ -205,7 +205,7 @@ def _landmarks(result: MapResult, canvas: _Canvas) -> Iterable[JsonValue]:
         end_ns = landmark.t_end_ns
         properties: JsonObject = {
             "kind": "landmark",
-            "id": to_unsigned(landmark.node),
+            "id": result.node_names.get(landmark.node, to_unsigned(landmark.node)),
             "component": landmark.component,
             "t_start": landmark.t_start_ns / _NS_PER_S,
             "t_end": None if end_ns is None else end_ns / _NS_PER_S,
@@ -224,8 +224,8 @@ def _points(result: MapResult, canvas: _Canvas) -> Iterable[JsonValue]:
             "kind": "point",
             "index": index,
             "t": t_ns / _NS_PER_S,
-            "id1": to_unsigned(id1),
-            "id2": to_unsigned(id2),
+            "id1": result.node_names.get(id1, to_unsigned(id1)),
+            "id2": result.node_names.get(id2, to_unsigned(id2)),
             "component": component,
         }
         yield _feature(f"point-{index}", _geometry("Point", _line(xy[index : index + 1], canvas, component)), properties)

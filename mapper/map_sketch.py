@@ -19,9 +19,9 @@ _NS_PER_S = 1e9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stand:
-    """A landmark: who stood where, from when to when [s of the map's clock]; ``t_end_s`` None: to the end."""
+    """A landmark: who (as the log has it) stood where, from when to when [s of the map's clock]; ``t_end_s`` None: to the end."""
 
-    node: int
+    node: str
     t_start_s: float
     t_end_s: float | None
     x: float
@@ -60,8 +60,8 @@ class MapSketch:
     met_xy: FloatArray
     met_component: IntArray
     met_t_s: FloatArray
-    met_id1: tuple[int, ...]
-    met_id2: tuple[int, ...]
+    met_id1: tuple[str, ...]
+    met_id2: tuple[str, ...]
     landmarks: tuple[Stand, ...]
     obstacles: tuple[Obstacle, ...]
     edges: IntArray
@@ -73,6 +73,10 @@ class MapSketch:
 def sketch_map(result: MapResult) -> MapSketch:
     """Take from a finished map what places and routes need."""
     points = result.points
+
+    def name(node: int) -> str:
+        return result.node_names.get(node, str(to_unsigned(node)))
+
     met = [points] if result.others is None else [points, result.others]
     return MapSketch(
         xy=np.column_stack([points.x, points.y]),
@@ -80,11 +84,11 @@ def sketch_map(result: MapResult) -> MapSketch:
         met_xy=np.concatenate([np.column_stack([part.x, part.y]) for part in met]),
         met_component=np.concatenate([part.component for part in met]),
         met_t_s=np.concatenate([part.t_ns for part in met]) / _NS_PER_S,
-        met_id1=tuple(to_unsigned(node) for part in met for node in part.id1.tolist()),
-        met_id2=tuple(to_unsigned(node) for part in met for node in part.id2.tolist()),
+        met_id1=tuple(name(node) for part in met for node in part.id1.tolist()),
+        met_id2=tuple(name(node) for part in met for node in part.id2.tolist()),
         landmarks=tuple(
             Stand(
-                node=to_unsigned(landmark.node),
+                node=name(landmark.node),
                 t_start_s=landmark.t_start_ns / _NS_PER_S,
                 t_end_s=None if landmark.t_end_ns is None else landmark.t_end_ns / _NS_PER_S,
                 x=landmark.x,
@@ -113,8 +117,8 @@ class _Point(msgspec.Struct, frozen=True, kw_only=True):
     x: float
     y: float
     t: float
-    id1: _Natural
-    id2: _Natural
+    id1: _Natural | str
+    id2: _Natural | str
     component: _Natural
 
 
@@ -125,7 +129,7 @@ class _Hole(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Landmark(msgspec.Struct, frozen=True, kw_only=True):
-    id: _Natural
+    id: _Natural | str
     x: float
     y: float
     component: _Natural
@@ -181,10 +185,10 @@ def sketch_document(document: Mapping[str, object], *, source: str) -> MapSketch
         met_xy=xy,
         met_component=component,
         met_t_s=np.array([point.t for point in map_.points]),
-        met_id1=tuple(point.id1 for point in map_.points),
-        met_id2=tuple(point.id2 for point in map_.points),
+        met_id1=tuple(str(point.id1) for point in map_.points),
+        met_id2=tuple(str(point.id2) for point in map_.points),
         landmarks=tuple(
-            Stand(node=one.id, t_start_s=one.t_start, t_end_s=one.t_end, x=one.x, y=one.y, component=one.component)
+            Stand(node=str(one.id), t_start_s=one.t_start, t_end_s=one.t_end, x=one.x, y=one.y, component=one.component)
             for one in map_.landmarks
         ),
         obstacles=tuple(_obstacles(map_, source)),

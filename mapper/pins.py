@@ -1,8 +1,8 @@
 """Pins: files that say where in the operator's frame some of what a map shows is known to be, and the frame that they fix.
 
 TOML and JSON have a list ``pins``; CSV has a row each. A pin names a landmark (``landmark``, and ``t_s`` where it stood at several
-places), a biobot at a time (``biobot``, ``t_s``) or a point of the map (``point``), and its place: ``x`` and ``y`` in metres of the
-operator's frame, or ``lon`` and ``lat`` in degrees of WGS 84.
+places), a biobot at a time (``biobot``, ``t_s``) or a point of the map (``point``), with ids as the log has them, and its place: ``x`` and
+``y`` in metres of the operator's frame, or ``lon`` and ``lat`` in degrees of WGS 84.
 """
 
 import csv
@@ -24,12 +24,13 @@ from mapper.errors import InputFileError, PinsError
 from mapper.frames import MAX_TANGENT_M, OperatorFrame, PinFit, TangentPlane, fit_pins
 from mapper.map_sketch import MapSketch
 from mapper.places import BiobotPlace, FoundPlace, LandmarkPlace, NamedPlace, PointPlace, find_place
+from mapper.types import KNOWN_PLACES, Assumption
 
 _MAX_BYTES = 2**20
 _MAX_PINS = 10_000
 _ID = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-_WHOLE = ("landmark", "biobot", "point")
-_COLUMNS = (*_WHOLE, "t_s", "x", "y", "lon", "lat")
+_NAMES = ("landmark", "biobot", "point")
+_COLUMNS = (*_NAMES, "t_s", "x", "y", "lon", "lat")
 _WARN_SCALE = 1.3  # of map lengths in metres and those that pins give
 
 
@@ -62,8 +63,8 @@ class Pinned:
 
 
 class _Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    landmark: _ID | None = None
-    biobot: _ID | None = None
+    landmark: _ID | str | None = None
+    biobot: _ID | str | None = None
     point: Annotated[int, Meta(ge=0)] | None = None
     t_s: float | None = None
     x: float | None = None
@@ -143,6 +144,12 @@ def place_pins(pins: Sequence[Pin], sketch: MapSketch) -> Pinned:
     return Pinned(frame=OperatorFrame(fits=fits, plane=plane), pins=tuple(placed), warnings=tuple(warnings))
 
 
+def know_places(assumptions: Sequence[Assumption], pinned: Pinned) -> tuple[Assumption, ...]:
+    """Say of what a map rests on that places are known, if the pins told no doubt."""
+    known = Assumption(name=KNOWN_PLACES, holds=True, text=f"{len(pinned.pins)} pins say where the map lies")
+    return tuple(known if one.name == KNOWN_PLACES and not pinned.warnings else one for one in assumptions)
+
+
 def _to_metres(pins: Sequence[Pin]) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.float64]], TangentPlane | None]:
     at = np.array([pin.at for pin in pins], dtype=np.float64).reshape(-1, 2)
     if not pins or not pins[0].is_geographic:
@@ -168,18 +175,18 @@ def _warn_of_scale(fit: PinFit, length_unit: str) -> list[str]:
 
 
 def _make_pin(row: _Row) -> Pin:
-    named = [name for name in _WHOLE if getattr(row, name) is not None]
+    named = [name for name in _NAMES if getattr(row, name) is not None]
     if len(named) != 1:
         raise ValueError(f"names {' and '.join(named) or 'nothing'}; wanted one of landmark, biobot (with t_s) or point")
     if not all(value is None or isfinite(value) for value in (row.t_s, row.x, row.y, row.lon, row.lat)):
         raise ValueError("has a number that is not finite")
     place: NamedPlace
     if row.landmark is not None:
-        place = LandmarkPlace(node=row.landmark, t_s=row.t_s)
+        place = LandmarkPlace(node=str(row.landmark), t_s=row.t_s)
     elif row.biobot is not None:
         if row.t_s is None:
             raise ValueError(f"says where biobot {row.biobot} was, but not when; add t_s in seconds of the map's clock")
-        place = BiobotPlace(node=row.biobot, t_s=row.t_s)
+        place = BiobotPlace(node=str(row.biobot), t_s=row.t_s)
     else:
         if row.t_s is not None:
             raise ValueError("has t_s, but a point of the map has its time")
@@ -233,14 +240,16 @@ def _read_csv(text: str) -> list[_Row]:
             raise ValueError(f"line {reader.line_num}: has more values than the header has columns")
         if given:
             try:
-                rows.append(_Row(**{name: _number(name, value) for name, value in given.items()}))  # type: ignore[arg-type]  # by name
+                rows.append(_Row(**{name: _value(name, value) for name, value in given.items()}))  # type: ignore[arg-type]  # by name
             except ValueError as error:
                 raise ValueError(f"line {reader.line_num}: {error}") from error
     return rows
 
 
-def _number(name: str, text: str) -> int | float:
-    if name in _WHOLE:
+def _value(name: str, text: str) -> int | float | str:
+    if name in {"landmark", "biobot"}:
+        return text
+    if name == "point":
         if not (text.isascii() and text.isdigit() and len(text) <= 20 and int(text) < 2**63):
             raise ValueError(f"{name} is {text!r}; wanted a whole number")
         return int(text)

@@ -1,11 +1,12 @@
 """Places that people name: where a landmark stood, where a biobot was at a time, a point of the map, or map coordinates.
 
 In text: ``landmark:7``, ``landmark:7@12.5`` (the place where it stood at 12.5 s), ``biobot:3@61.5``, ``point:17``, ``xy:1.5,-2`` and
-``xy:1.5,-2,1`` (in component 1). Times are those of the map: of the file, or seconds since 1970 of a live map.
+``xy:1.5,-2,1`` (in component 1). Ids are as the log has them, numbers or names. Times are those of the map: of the file, or seconds since
+1970 of a live map.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import isfinite
 
@@ -16,12 +17,11 @@ from mapper.map_sketch import MapSketch
 from mapper.types import EncounterTable, FloatArray, IntArray
 
 _NS_PER_S = 1e9
-_MAX_ID = 2**64 - 1
 _FORMS = "landmark:ID, landmark:ID@T, biobot:ID@T, point:INDEX, xy:X,Y or xy:X,Y,COMPONENT, with T in seconds of the map's clock"
 _SHOWN = 60
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?"
 _TEXT = re.compile(
-    rf"landmark:(?P<landmark>[0-9]{{1,20}})(?:@(?P<stood>{_NUMBER}))?|biobot:(?P<biobot>[0-9]{{1,20}})@(?P<t>{_NUMBER})|"
+    rf"landmark:(?P<landmark>.{{1,200}}?)(?:@(?P<stood>{_NUMBER}))?|biobot:(?P<biobot>.{{1,200}})@(?P<t>{_NUMBER})|"
     rf"point:(?P<point>[0-9]{{1,9}})|xy:(?P<x>{_NUMBER}),(?P<y>{_NUMBER})(?:,(?P<component>[0-9]{{1,9}}))?",
     re.ASCII,
 )
@@ -31,7 +31,7 @@ _TEXT = re.compile(
 class LandmarkPlace:
     """Where a landmark stood; at ``t_s``, where it stood in several places."""
 
-    node: int
+    node: str
     t_s: float | None = None
 
     def __str__(self) -> str:
@@ -42,7 +42,7 @@ class LandmarkPlace:
 class BiobotPlace:
     """Where a biobot was at a time."""
 
-    node: int
+    node: str
     t_s: float
 
     def __str__(self) -> str:
@@ -101,16 +101,13 @@ def parse_place(text: str) -> NamedPlace:
     if found is None:
         raise PlaceError(place=text[:_SHOWN], problem="is no place", next_step=f"give one of {_FORMS}")
     part = found.groupdict()
-    for name in ("landmark", "biobot"):
-        if part[name] is not None and int(part[name]) > _MAX_ID:
-            raise PlaceError(place=text[:_SHOWN], problem=f"has an id above {_MAX_ID}", next_step="give that of a biobot")
     numbers = {name: float(part[name]) for name in ("stood", "t", "x", "y") if part[name] is not None}
     if not all(map(isfinite, numbers.values())):
         raise PlaceError(place=text[:_SHOWN], problem="has a number that is not finite", next_step=f"give one of {_FORMS}")
     if part["landmark"] is not None:
-        return LandmarkPlace(node=int(part["landmark"]), t_s=numbers.get("stood"))
+        return LandmarkPlace(node=part["landmark"], t_s=numbers.get("stood"))
     if part["biobot"] is not None:
-        return BiobotPlace(node=int(part["biobot"]), t_s=numbers["t"])
+        return BiobotPlace(node=part["biobot"], t_s=numbers["t"])
     if part["point"] is not None:
         return PointPlace(index=int(part["point"]))
     return MapPlace(x=numbers["x"], y=numbers["y"], component=int(part["component"] or 0))
@@ -144,13 +141,20 @@ def find_place(place: NamedPlace, sketch: MapSketch) -> FoundPlace:
             return FoundPlace(name=str(place), xy=np.array([x, y]), component=component, point=None, gap_s=0.0)
 
 
-def rows_to_place(places: Iterable[NamedPlace], table: EncounterTable) -> IntArray:
-    """Return the encounters that tell where biobots were: for each of the places that name one, the last before and the first after it."""
+def rows_to_place(places: Iterable[NamedPlace], table: EncounterTable, *, number_of: Callable[[str], int | None]) -> IntArray:
+    """Return the encounters that tell where biobots were: for each of the places that name one, the last before and the first after it.
+
+    Parameters
+    ----------
+    number_of
+        Returns the number that stands for an id in the table; None: it is not there.
+    """
     rows: set[int] = set()
     centres = table.t_start_ns + (table.t_end_ns - table.t_start_ns) // 2
     for place in places:
         if isinstance(place, BiobotPlace):
-            own = np.flatnonzero((table.id1 == place.node) | (table.id2 == place.node))
+            number = number_of(place.node)
+            own = np.flatnonzero((table.id1 == number) | (table.id2 == number)) if number is not None else np.empty(0, dtype=np.int64)
             own = own[np.argsort(centres[own], kind="stable")]
             after = int(np.searchsorted(centres[own], place.t_s * _NS_PER_S))
             rows |= set(own[max(0, after - 1) : after + 1].tolist())
@@ -158,9 +162,9 @@ def rows_to_place(places: Iterable[NamedPlace], table: EncounterTable) -> IntArr
 
 
 def _find_landmark(place: LandmarkPlace, sketch: MapSketch) -> FoundPlace:
-    stands = [stand for stand in sketch.landmarks if stand.node == place.node]
+    stands = [stand for stand in sketch.landmarks if _is_same(stand.node, place.node)]
     if not stands:
-        known = ", ".join(map(str, sorted({stand.node for stand in sketch.landmarks})[:20])) or "none"
+        known = ", ".join(sorted({stand.node for stand in sketch.landmarks}, key=lambda node: (len(node), node))[:20]) or "none"
         raise _unknown(place, "is no landmark of the map", f"the map has {known}; a landmark stands by command and has met somebody")
     at = [stand for stand in stands if place.t_s is None or _stood(stand.t_start_s, stand.t_end_s, place.t_s)]
     if not at:
@@ -173,7 +177,8 @@ def _find_landmark(place: LandmarkPlace, sketch: MapSketch) -> FoundPlace:
 
 
 def _find_biobot(place: BiobotPlace, sketch: MapSketch) -> FoundPlace:
-    own = np.flatnonzero([place.node in pair for pair in zip(sketch.met_id1, sketch.met_id2, strict=True)])
+    met = zip(sketch.met_id1, sketch.met_id2, strict=True)
+    own = np.flatnonzero([_is_same(one, place.node) or _is_same(other, place.node) for one, other in met])
     if not len(own):
         raise _unknown(place, "is in no encounter that has a place on the map", "name one that is, or a landmark")
     own = own[np.argsort(sketch.met_t_s[own], kind="stable")]
@@ -189,6 +194,11 @@ def _find_biobot(place: BiobotPlace, sketch: MapSketch) -> FoundPlace:
         nearest = one
         xy = sketch.met_xy[one] + gaps[0] / sum(gaps) * (sketch.met_xy[other] - sketch.met_xy[one])
     return FoundPlace(name=str(place), xy=xy, component=int(sketch.met_component[nearest]), point=None, gap_s=min(gaps))
+
+
+def _is_same(name: str, asked: str) -> bool:
+    """Say whether an id is the one asked for: the same text, or the same number."""
+    return name == asked or (name.isdecimal() and asked.isascii() and asked.isdecimal() and name == asked.lstrip("0"))
 
 
 def _stood(t_start_s: float, t_end_s: float | None, t_s: float) -> bool:

@@ -1,15 +1,17 @@
 """A finished map as a JSON object for programs, and as a summary for a person. Nothing in the JSON is nan or infinite."""
 
+from collections.abc import Mapping
 from math import isfinite
 
 from mapper.record_columns import to_unsigned
-from mapper.types import BettiRule, ComponentMap, FloatArray, Hole, Landmark, MapResult, Recipe
+from mapper.types import BettiRule, ComponentMap, FloatArray, Hole, Landmark, MapResult, Recipe, Standing, StandingSource
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 JsonObject = dict[str, JsonValue]
 
 _NS_PER_S = 1e9
 _LISTED_INTERVALS = 5
+_LISTED_NODES = 12
 
 
 def to_json_object(result: MapResult) -> JsonObject:
@@ -23,11 +25,16 @@ def to_json_object(result: MapResult) -> JsonObject:
         component, and ``confidence`` null until it is known; of each also ``outline_xy``, the polygon of what stands in it (closed,
         counter-clockwise), ``centre`` inside it, ``area``, ``perimeter`` and their standard errors, null where they are not known;
         ``landmarks`` with their places and times; ``complex`` (edges and triangles as indices of points, lengths of edges);
-        ``components`` (those
-        mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``, ``n_used``,
-        ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``.
+        ``components`` (those mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``,
+        ``n_used``, ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source,
+        reason; null but for a file) and ``assumptions`` (name, holds, text). Ids are numbers, or the names that the log has for them.
     """
     points = result.points
+    names = result.node_names
+
+    def name(number: int) -> int | str:
+        return names.get(number, number)
+
     xy = [[float(x), float(y)] for x, y in zip(points.x, points.y, strict=True)]
     rows = zip(xy, points.t_ns.tolist(), points.id1.tolist(), points.id2.tolist(), points.component.tolist(), strict=True)
     return {
@@ -37,7 +44,7 @@ def to_json_object(result: MapResult) -> JsonObject:
             for dimension in (0, 1)
         },
         "points": [
-            {"x": place[0], "y": place[1], "t": t_ns / _NS_PER_S, "id1": id1, "id2": id2, "component": component}
+            {"x": place[0], "y": place[1], "t": t_ns / _NS_PER_S, "id1": name(id1), "id2": name(id2), "component": component}
             for place, t_ns, id1, id2, component in rows
         ],
         "holes": [
@@ -52,7 +59,7 @@ def to_json_object(result: MapResult) -> JsonObject:
             }
             for hole in result.holes
         ],
-        "landmarks": [_landmark(landmark) for landmark in result.landmarks],
+        "landmarks": [_landmark(landmark, name(to_unsigned(landmark.node))) for landmark in result.landmarks],
         "complex": {
             "edges": result.edges.tolist(),
             "triangles": result.triangles.tolist(),
@@ -66,6 +73,8 @@ def to_json_object(result: MapResult) -> JsonObject:
         "lost_spectrum": result.lost_spectrum,
         "parameters": _parameters(result.recipe, length_unit=result.length_unit),
         "warnings": list(result.warnings),
+        "stationary": None if result.standing is None else _standing(result.standing, names),
+        "assumptions": [{"name": one.name, "holds": one.holds, "text": one.text} for one in result.assumptions],
     }
 
 
@@ -93,7 +102,23 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
     longest = ", ".join(
         f"{birth:.4g}-{death:.4g}" for part in result.components for birth, death in part.intervals[1][:_LISTED_INTERVALS].tolist()
     )
-    return "\n".join([*lines, f"longest loops  {longest or 'none'} [{unit}]"])
+    lines.append(f"longest loops  {longest or 'none'} [{unit}]")
+    if result.standing is not None:
+        lines.append(f"stand still    {_named(result.standing, result.node_names)}: {result.standing.reason}")
+    broken = [one.text for one in result.assumptions if one.holds is False]
+    return "\n".join([*lines, *([] if not broken else ["what cannot be concluded:", *(f"- {text}" for text in broken)])])
+
+
+def _standing(standing: Standing, names: Mapping[int, str]) -> JsonObject:
+    ids: list[JsonValue] = [names.get(node, node) for node in standing.nodes]
+    return {"ids": ids, "source": str(standing.source), "reason": standing.reason}
+
+
+def _named(standing: Standing, names: Mapping[int, str]) -> str:
+    if not standing.nodes:
+        return "as the modes say" if standing.source is StandingSource.MODES else "nobody is known to"
+    listed = [names.get(node, str(node)) for node in standing.nodes[:_LISTED_NODES]]
+    return ", ".join(listed) + (f" and {len(standing.nodes) - _LISTED_NODES} more" if len(standing.nodes) > _LISTED_NODES else "")
 
 
 def _component(part: ComponentMap, index: int) -> JsonObject:
@@ -124,10 +149,10 @@ def _shape(hole: Hole) -> JsonObject:
     }
 
 
-def _landmark(landmark: Landmark) -> JsonObject:
+def _landmark(landmark: Landmark, name: int | str) -> JsonObject:
     end_ns = landmark.t_end_ns
     return {
-        "id": to_unsigned(landmark.node),
+        "id": name,
         "x": landmark.x,
         "y": landmark.y,
         "component": landmark.component,

@@ -4,16 +4,18 @@ import argparse
 import json
 from pathlib import Path
 
-from mapper.encounter_csv import read_encounters, read_modes
+from mapper.encounter_csv import read_modes
 from mapper.errors import MapDocumentError, TooFewEncountersError
 from mapper.kernels import choose_kernels
+from mapper.log_map import map_log
 from mapper.map_sketch import MapSketch, sketch_document, sketch_map
 from mapper.output_files import check_outputs, is_standard_output, write_output
-from mapper.pipeline import MIN_ENCOUNTERS, compute_map
+from mapper.pipeline import MIN_ENCOUNTERS
 from mapper.places import NamedPlace, parse_place, rows_to_place
+from mapper.reading import read_ids, read_log
+from mapper.reading_flags import reading_options
 from mapper.route_report import answer_routes, describe_routes, routes_to_json
 from mapper.types import Recipe
-from mapper.window import absent_biobots, stationary_spells
 
 _MAX_MAP_BYTES = 2**30
 
@@ -53,11 +55,18 @@ def _read_map(path: Path) -> MapSketch:
 
 
 def _make_map(args: argparse.Namespace, recipe: Recipe, ends: tuple[NamedPlace, NamedPlace]) -> MapSketch:
-    """Map a file of encounters; biobots' whereabouts are told by their encounters just before and after, points of the map or not."""
-    table = read_encounters(args.source)
-    if len(table) < MIN_ENCOUNTERS:
-        raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=str(args.source))
-    stationary = args.stationary or ()
-    absent_biobots(table, stationary)
-    spells = (*(read_modes(args.modes) if args.modes is not None else ()), *stationary_spells(table, stationary))
-    return sketch_map(compute_map(table, spells, recipe, kernels=choose_kernels(), also_place=rows_to_place(ends, table)))
+    """Map a log; biobots' whereabouts are told by their encounters just before and after, points of the map or not."""
+    log = read_log(args.source, reading_options(args))
+    if len(log.table) < MIN_ENCOUNTERS:
+        raise TooFewEncountersError(n_encounters=len(log.table), minimum=MIN_ENCOUNTERS, where=str(args.source))
+    result = map_log(
+        log,
+        log.table,
+        recipe,
+        spells=None if args.modes is None else read_modes(args.modes, number_of=log.names.number_of),
+        stationary=None if args.stationary is None else read_ids(args.stationary),
+        searches=args.find_stationary,
+        kernels=choose_kernels(),
+        also_place=rows_to_place(ends, log.table, number_of=log.names.number_of),
+    )
+    return sketch_map(result)

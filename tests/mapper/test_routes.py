@@ -140,8 +140,8 @@ def _field(*blocks: tuple[int, int]) -> MapSketch:
         met_xy=xy,
         met_component=np.zeros(len(xy), dtype=np.int64),
         met_t_s=np.arange(len(xy), dtype=np.float64),
-        met_id1=tuple(range(len(xy))),
-        met_id2=(1000,) * len(xy),
+        met_id1=tuple(map(str, range(len(xy)))),
+        met_id2=("door",) * len(xy),
         landmarks=(),
         obstacles=tuple(
             Obstacle(number=number, component=0, polygon=_square(x, y, 1.4), centre=np.array([float(x), float(y)]))
@@ -225,14 +225,15 @@ def test_places_that_nothing_joins_are_told() -> None:
         find_routes(sketch, inside, find_place(PointPlace(index=0), sketch), classes=2)
 
 
-@pytest.mark.parametrize("text", ["landmark:7", "landmark:7@12.5", "biobot:3@61.5", "point:17", "xy:1.5,-2,0", "xy:-1e-05,2,3"])
+@pytest.mark.parametrize(
+    "text",
+    ["landmark:7", "landmark:7@12.5", "landmark:north door", "biobot:a@b@3", "biobot:3@61.5", "point:17", "xy:1.5,-2,0", "xy:-1e-05,2,3"],
+)
 def test_places_are_written_as_they_are_read(text: str) -> None:
     assert str(parse_place(text)) == text
 
 
-@pytest.mark.parametrize(
-    "text", ["", "landmark", "biobot:3", "point:-1", "xy:1", "xy:nan,1", "landmark:99999999999999999999", "xy:1e999,0"]
-)
+@pytest.mark.parametrize("text", ["", "landmark", "biobot:3", "point:-1", "xy:1", "xy:nan,1", "xy:1e999,0"])
 def test_what_is_no_place_is_told(text: str) -> None:
     with pytest.raises(PlaceError):
         parse_place(text)
