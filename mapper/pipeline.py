@@ -63,7 +63,7 @@ def compute_map(
     kernels
         What computes on the graphs; None takes the best there are. The map is the same.
     also_place
-        Rows of the table to place besides the points, as ``others``; those in components that are not mapped are left out.
+        Rows of the table to place besides the points, as ``others``; those that have no place are left out.
 
     Raises
     ------
@@ -83,6 +83,7 @@ def compute_map(
     stands = find_stands(table, spells)
     rows = np.concatenate([stands.rows, np.empty(0, dtype=np.int64) if also_place is None else also_place])
     component, vertex = parts.locate(rows)
+    contact = float(np.median(table.t_end_ns - table.t_start_ns)) * TICKS_PER_S / NS_PER_S
     placed = []
     for index, n_points in enumerate(shares):
 
@@ -98,6 +99,7 @@ def compute_map(
                 n_points=n_points,
                 others=vertex[component == index],
                 ticks_per_length=ticks_per_length,
+                contact=contact,
                 begin=begin,
             )
         )
@@ -229,7 +231,7 @@ def _add_others(
         first = int(np.searchsorted(result.points.component, index))
         shift = np.array([result.points.x[first], result.points.y[first]]) - part.coordinates[0]
         coordinates[component == index] = part.others + shift
-    is_placed = component < len(placed)
+    is_placed = (component < len(placed)) & np.isfinite(coordinates).all(axis=1)
     n_stands = len(stands.rows)
     of_stands, of_others = (np.flatnonzero(is_placed[some]) for some in (slice(n_stands), slice(n_stands, None)))
     landmarks = make_landmarks(stands, is_placed=is_placed[:n_stands], places=coordinates[of_stands], component=component[of_stands])
