@@ -194,12 +194,35 @@ class ComponentMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hole:
-    """A hole called real: ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,)."""
+    """A hole called real: ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,).
+
+    ``outline_xy`` is the polygon of what stands in it, as `mapper.hole_shapes` draws it: shape (k, 2), not closed, counter-clockwise;
+    (0, 2) where there is none. ``centre``, shape (2,), is inside it. ``area`` [unit^2] and ``perimeter`` [unit] are those of the obstacle,
+    with their standard errors; None where nothing is known of them.
+    """
 
     component: int
     birth: float
     death: float
     outline: IntArray
+    outline_xy: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    centre: FloatArray | None = None
+    area: float | None = None
+    area_error: float | None = None
+    perimeter: float | None = None
+    perimeter_error: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Landmark:
+    """Where a biobot stood by command from ``t_start_ns`` to ``t_end_ns`` (None: it still does), in map coordinates [unit of the map]."""
+
+    node: NodeId
+    t_start_ns: int
+    t_end_ns: int | None
+    x: float
+    y: float
+    component: int
 
 
 class StandingSource(StrEnum):
@@ -221,6 +244,10 @@ class Standing:
     reason: str
 
 
+KNOWN_PLACES = "known_places"
+"""Name of the assumption that places are known, which pins make true."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Assumption:
     """Something that a map rests on: whether it holds, None where that cannot be seen, and what follows, for a person."""
@@ -237,7 +264,9 @@ class MapResult:
     ``components`` are those that were mapped, the largest first; ``n_components`` counts all there are. ``edges`` (e, 2) and ``triangles``
     (t, 3) are indices of points: the Rips complex of each component at its ``epsilon``. ``diameter`` is the largest of
     any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m". ``node_names`` are what the log calls its nodes, empty where
-    they are numbers. ``standing`` and ``assumptions`` are of maps of a file.
+    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``edge_lengths``, shape (e,), are the map's distances along
+    ``edges``; none where a map does not tell them. ``landmarks`` are places where somebody stood by command and met somebody. ``others``
+    are encounters that were asked for and are no points of the map.
     """
 
     betti_numbers: tuple[int, int]
@@ -257,6 +286,9 @@ class MapResult:
     node_names: Mapping[int, str] = field(default_factory=dict)
     standing: Standing | None = None
     assumptions: tuple[Assumption, ...] = ()
+    edge_lengths: FloatArray = field(default_factory=lambda: np.zeros(0))
+    landmarks: tuple[Landmark, ...] = ()
+    others: Points | None = None
 
 
 def read_only(array: ArrayT) -> ArrayT:
