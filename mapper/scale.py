@@ -27,16 +27,17 @@ _LEAST_LEFT = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScaleLaw:
-    """log factor = constant + straightness log(R) + encounters log(N) - discs log(1 - per_disc A), R, N and A being those of ``Evidence``.
+    """log factor = constant + straightness log(R) + encounters log(min(N, enough)) - discs log(1 - per_disc A), of the `Evidence` R, N, A.
 
-    ``error`` is the standard deviation of what is left, of the logarithm; ``ranges`` of log(R), log(N) and A in the runs it was fitted to:
-    beyond, the nearest value within is taken.
+    ``error``: two thirds of the runs it was fitted to are nearer than that, in the logarithm. ``ranges`` of log(R), log(N) and A in those
+    runs: beyond, the nearest value within is taken.
     """
 
     constant: float
     straightness: float
     encounters: float
     discs: float
+    enough: float
     per_disc: float
     error: float
     ranges: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
@@ -70,7 +71,7 @@ def estimate_scale(evidence: Evidence, law: ScaleLaw) -> Scale:
     log_factor = (
         law.constant
         + law.straightness * log_straightness
-        + law.encounters * log_encounters
+        + law.encounters * min(log_encounters, float(np.log(law.enough)))
         - law.discs * float(np.log(max(_LEAST_LEFT, 1.0 - law.per_disc * discs)))
     )
     return Scale(factor=float(np.exp(log_factor)), error=law.error, evidence=evidence)
@@ -81,5 +82,5 @@ def load_scale_law() -> ScaleLaw:
     """Read the law that the package ships."""
     entry = json.loads(resources.files("mapper").joinpath("data", "scale.json").read_text(encoding="utf-8"))
     low, middle, high = ((float(least), float(greatest)) for least, greatest in entry["ranges"])
-    names = ("constant", "straightness", "encounters", "discs", "per_disc", "error")
+    names = ("constant", "straightness", "encounters", "discs", "enough", "per_disc", "error")
     return ScaleLaw(**{name: float(entry[name]) for name in names}, ranges=(low, middle, high))

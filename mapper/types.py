@@ -183,7 +183,7 @@ class Evidence:
 class Scale:
     """By what a component's lengths were multiplied, so that they are distances and not walks.
 
-    ``error`` is the relative standard error of ``factor``, which follows from ``evidence``.
+    ``error`` is the relative error of ``factor``, which follows from ``evidence``: two thirds of simulated runs were nearer.
     """
 
     factor: float
