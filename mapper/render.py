@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
@@ -23,6 +24,7 @@ ImageFormat = Literal["svg", "png"]
 _TRIANGLE, _EDGE, _HOLE, _NOISE, _LANDMARK, _PIN = "#56b4e9", "#999999", "#d55e00", "#0072b2", "#000000", "#cc79a7"
 # More triangles than this hide each other and only make the file large.
 _MAX_DRAWN_TRIANGLES = 20_000
+_CAPTION_NAMES, _CAPTION_NAME_LENGTH = 10, 16
 
 
 def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None = None, pinned: Pinned | None = None) -> bytes:
@@ -50,14 +52,32 @@ def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None
 
     buffer = io.BytesIO()
     # Fixed ids and no date: the same map is the same file.
-    with mpl.rc_context({"svg.hashsalt": "biobot", "svg.fonttype": "none"}):
+    with mpl.rc_context({"svg.hashsalt": "biobot", "svg.fonttype": "none"}), warnings.catch_warnings():
+        # Names may be in any script: an SVG has them as they are, and a PNG boxes in place of what its font lacks.
+        warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
         figure = Figure(figsize=(11, 5.5), layout="constrained")
         FigureCanvasAgg(figure)
         map_axes, diagram_axes = figure.subplots(1, 2, width_ratios=(1.2, 1))
         _draw_map(map_axes, _in_frame(result, pinned), part=part, pinned=pinned)
         _draw_diagram(diagram_axes, result, title="persistence diagram" + ("" if pinned is None else "\nin lengths of the map itself"))
+        if caption := _caption(result):
+            figure.supxlabel(caption, fontsize=7, parse_math=False)
         figure.savefig(buffer, format=image_format, dpi=120, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()
+
+
+def _caption(result: MapResult) -> str | None:
+    """Say below the picture who stands still, and whether the count of holes can be trusted; nothing for maps that no log made."""
+    standing = result.standing
+    if standing is None:
+        return None
+    lines = []
+    if standing.nodes:
+        named = [result.node_names.get(node, str(node)) for node in standing.nodes]
+        more = f" and {len(named) - _CAPTION_NAMES} more" if len(named) > _CAPTION_NAMES else ""
+        lines.append(f"stand still ({standing.source}): {', '.join(name[:_CAPTION_NAME_LENGTH] for name in named[:_CAPTION_NAMES])}{more}")
+    lines += [one.text for one in result.assumptions if one.name == "hole_count" and one.holds is False]
+    return "\n".join(lines) or None
 
 
 def _in_frame(result: MapResult, pinned: Pinned | None) -> MapResult:
