@@ -18,6 +18,7 @@ from mapper.persistence import rips_persistence
 from mapper.placement import Placement, place_in_plane, placed_profiles
 from mapper.placing import place_among
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
+from mapper.scale import estimate_scale, gather_evidence, load_scale_law
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import Subsample, stand_for, subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
@@ -106,6 +107,11 @@ def map_component(
     compared = _compare_and_filter(graph, references, recipe, n_points=n_points, contact=contact, begin=begin)
     begin("subsample")
     sample = subsample_maxmin(compared.metric, compared.candidates, n_points=count_points_of_views(n_points, compared.views))
+    scale = None
+    if compared.placement is not None:
+        evidence = gather_evidence(graph, compared.placement, contact=contact, n_views=compared.views.number)
+        scale = estimate_scale(evidence, load_scale_law())
+        ticks_per_length /= scale.factor
     begin("persistence")
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
@@ -123,7 +129,6 @@ def map_component(
         vertices = stand_for(sample, compared.metric, compared.candidates, doubt=places.doubt, xy=places.xy)
         coordinates = turn_to_axes(places.xy[vertices] / ticks_per_length)
     merges, loops = diagram.intervals
-    n_used = int(graph.multiplicity[compared.kept].sum())
     size_model = load_size_model(recipe.method, recipe.metric)
     holes = tuple(
         shape_hole(
@@ -153,6 +158,7 @@ def map_component(
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
+            scale=scale,
         ),
         encounters=graph.first_encounter[vertices].astype(np.int64),
         coordinates=coordinates,

@@ -24,16 +24,22 @@ _WALKERS = 12
 
 def _chain_links(tracks: list[list[int]], times: list[list[float]]) -> Links:
     """Links of tracks over numbered places, track after track."""
-    sources, targets, before, durations = [], [], [], []
+    sources: list[int] = []
+    targets: list[int] = []
+    before: list[int] = []
+    durations: list[float] = []
     for track, walked in zip(tracks, times, strict=True):
         for step, (source, target) in enumerate(pairwise(track)):
             before.append(len(sources) - 1 if step else -1)
             sources.append(source)
             targets.append(target)
             durations.append(walked[step])
-    vertices = (np.array(column, dtype=np.int32) for column in (sources, targets, before))
-    source, target, last = vertices
-    return Links(sources=source, targets=target, times=np.array(durations, dtype=np.float64), before=last)
+    return Links(
+        sources=np.array(sources, dtype=np.int32),
+        targets=np.array(targets, dtype=np.int32),
+        times=np.array(durations, dtype=np.float64),
+        before=np.array(before, dtype=np.int32),
+    )
 
 
 @st.composite
