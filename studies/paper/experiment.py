@@ -32,9 +32,9 @@ class Setting:
     Parameters
     ----------
     out
-        Folder of figures and summaries.
+        Folder of figures as PNG, and of summaries.
     work
-        Folder of journals, and of tables with a row a run.
+        Folder of journals, of figures as SVG, and of tables with a row a run.
     is_quick
         A few short runs, to see that it works: the figures mean nothing.
     first_seed
@@ -107,7 +107,8 @@ def perform(experiment: Experiment, setting: Setting) -> None:
         writer.writeheader()
         writer.writerows(outcome.rows)
     for end, figure in outcome.figures.items():
-        save_figure(figure, setting.out / "-".join(filter(None, [experiment.name, end])))
+        stem = "-".join(filter(None, [experiment.name, end]))
+        save_figure(figure, svg=setting.work / f"{stem}.svg", png=setting.out / f"{stem}.png")
 
 
 def perform_main(experiments: Sequence[Experiment], arguments: Sequence[str] | None, *, prog: str, about: str) -> int:
@@ -127,8 +128,8 @@ def read_setting(arguments: Sequence[str] | None, *, prog: str, about: str) -> S
     """Read the flags of a command of experiments."""
     parser = argparse.ArgumentParser(prog=prog, description=about)
     parser.add_argument("--quick", action="store_true", help="a few short runs, to see that it works: the figures mean nothing")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="figures and summaries (default: docs/paper; artifacts/paper-quick)")
-    parser.add_argument("--work", type=Path, metavar="DIR", help="journals and tables (default: artifacts/paper; artifacts/paper-quick)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="PNG and summaries (default: docs/paper; artifacts/paper-quick)")
+    parser.add_argument("--work", type=Path, metavar="DIR", help="journals, SVG and tables (default: artifacts/paper; artifacts/paper-quick)")
     parser.add_argument("--first-seed", type=int, default=FINAL_SEED, metavar="N", help="of the runs reported (default: %(default)s)")
     add_flags(parser)
     parsed = parser.parse_args(arguments)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from studies.errors import StudyError, SummaryError
+from studies.paper.overview import tell_overview
 from studies.tables import put_between_markers
 
 Summary = Mapping[str, Any]
@@ -288,11 +289,14 @@ def fill(document: str, folder: Path, *, path: Path) -> str:
     SummaryError
         A summary is missing or faulty, or of a quick run.
     """
+    summaries = {experiment: _read(folder / f"{experiment}.json") for experiment, _ in TABLES.values()}
+    overview = table_of(("", "the paper", "here", "why they differ"), tell_overview(summaries))
+    document = put_between_markers(document, overview, path=path, markers=_markers("overview"))
     for name, (experiment, tell) in TABLES.items():
-        summary = _read(folder / f"{experiment}.json")
-        first, runs = summary["first_seed"], summary["runs"]
-        table = f"{tell(summary)}\n\n`python -m studies.paper.{experiment}`, seeds from {first:,}; {runs:,} rows of results."
-        document = put_between_markers(document, table, path=path, markers=(f"<!-- {name} begins -->", f"<!-- {name} ends -->"))
+        first, runs = summaries[experiment]["first_seed"], summaries[experiment]["runs"]
+        source = f"`python -m studies.paper.{experiment}`, seeds from {first:,}; {runs:,} rows of results."
+        table = f"{tell(summaries[experiment])}\n\n{source}"
+        document = put_between_markers(document, table, path=path, markers=_markers(name))
     return document
 
 
@@ -319,6 +323,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _markers(name: str) -> tuple[str, str]:
+    return f"<!-- {name} begins -->", f"<!-- {name} ends -->"
 
 
 def _ratio(value: float | None) -> str:

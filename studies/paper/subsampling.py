@@ -155,6 +155,8 @@ def _draw(run: SwarmRun, ratios: dict[str, tuple[list[float], list[float]]], *, 
         _draw_sample(row[0], row[1], run, compute_map(run.table, run.spells, recipe), name=name)
     _draw_shares(axes[0][2], {name: own[1] for name, own in ratios.items()}, title="signal: the longest interval")
     _draw_shares(axes[1][2], {name: own[0] for name, own in ratios.items()}, title="signal: what is called a hole")
+    figure.legend(*axes[0][1].get_legend_handles_labels(), loc="outside lower left", ncols=5, frameon=False)
+    figure.legend(*axes[0][2].get_legend_handles_labels(), loc="outside lower right", ncols=3, frameon=False)
     figure.suptitle(title)
     return figure
 
@@ -170,22 +172,21 @@ def _draw_sample(cloud: "Axes", diagram: "Axes", run: SwarmRun, result: MapResul
     drawing.draw_diagrams(diagram, (part[0], part[1]), true, limit=limit, names=("map", "truth"))
     drawing.mark_holes(diagram, np.array([(hole.birth, hole.death) for hole in result.holes]).reshape(-1, 2))
     diagram.set(title=f"{name}: diagram", xlabel="birth", ylabel="death (never: at the top)")
-    diagram.legend(loc="lower right")
 
 
 def _draw_shares(axes: "Axes", ratios: dict[str, list[float]], *, title: str) -> None:
     """Draw for each way the share of its runs whose ratio is no larger."""
     for name, values in ratios.items():
         ordered = np.sort(values)
-        axes.step(
-            ordered,
-            np.arange(1, len(ordered) + 1) / max(1, len(ordered)),
-            where="post",
-            color=_COLOURS[name],
-            label=f"{name}, {len(ordered)} runs",
-        )
-    axes.set(title=title, xscale="log", xlabel="signal-to-noise ratio of a run", ylabel="share of runs at or below it", ylim=(0, 1.02))
-    axes.legend(loc="upper left")
+        axes.step(ordered, np.arange(1, len(ordered) + 1) / max(1, len(ordered)), where="post", color=_COLOURS[name], label=name)
+    counts = ", ".join(str(len(values)) for values in ratios.values())
+    axes.set(
+        title=f"{title}\n(runs: {counts})",
+        xscale="log",
+        xlabel="signal-to-noise ratio of a run",
+        ylabel="share of runs at or below it",
+        ylim=(0, 1.02),
+    )
     axes.grid(visible=True, alpha=0.3)
 
 
