@@ -45,7 +45,7 @@ def draw_bottlenecks(grid: Grid, *, title: str) -> "Figure":
             row[k].set(
                 title=f"{name},\n{fixed_name} = {fixed}",
                 xlabel=_axis_name(moving_name),
-                ylabel="[1/50 of the side]",
+                ylabel="d_B and bounds [1/50 of the side]",
                 yscale="log",
                 xticks=_values(grid, k),
             )

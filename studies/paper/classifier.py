@@ -199,15 +199,19 @@ def _draw(
         axes.grid(visible=True, alpha=0.3)
     scale_axes.set(title="two holes, by scale", xlabel="scale of arena and holes")
     holes_axes.set(title="scale 1, by number of holes", xlabel="true number of holes", xticks=list(_HOLES))
-    holes_axes.legend(loc="lower left")
+    figure.legend(*holes_axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     for method in _METHODS:
         own = [row for row in table if (row["preset"], row["method"], row["scale"]) == (preset, str(method), 1.0)]
         error_axes.plot(
             [row["true_holes"] for row in own], [row["error"] for row in own], "o-", color=drawing.METHOD_COLOURS[method], label=str(method)
         )
-    error_axes.set(title="scale 1: mean |found - true|, trained here", xlabel="true number of holes", ylabel="holes", xticks=list(_HOLES))
+    error_axes.set(
+        title="scale 1: error of the count, trained here",
+        xlabel="true number of holes",
+        ylabel="mean |found - true| [holes]",
+        xticks=list(_HOLES),
+    )
     error_axes.set_ylim(bottom=0)
-    error_axes.legend()
     figure.suptitle(f"preset {preset}")
     return figure
 

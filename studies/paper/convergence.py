@@ -102,8 +102,7 @@ def _draw(case: StepsCase) -> "Figure":
         ylabel="d_GEL [1/50 of the side]",
         ylim=(0, 3.0 * float(true.max())),
     )
-    for axes in (events_axes, landmark_axes):
-        axes.legend(loc="upper left")
+    figure.legend(*events_axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(f"preset {case.run.preset}, scenario 2, seed {case.run.seed}")
     return figure
 

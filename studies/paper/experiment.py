@@ -129,7 +129,9 @@ def read_setting(arguments: Sequence[str] | None, *, prog: str, about: str) -> S
     parser = argparse.ArgumentParser(prog=prog, description=about)
     parser.add_argument("--quick", action="store_true", help="a few short runs, to see that it works: the figures mean nothing")
     parser.add_argument("--out", type=Path, metavar="DIR", help="PNG and summaries (default: docs/paper; artifacts/paper-quick)")
-    parser.add_argument("--work", type=Path, metavar="DIR", help="journals, SVG and tables (default: artifacts/paper; artifacts/paper-quick)")
+    parser.add_argument(
+        "--work", type=Path, metavar="DIR", help="journals, SVG and tables (default: artifacts/paper; artifacts/paper-quick)"
+    )
     parser.add_argument("--first-seed", type=int, default=FINAL_SEED, metavar="N", help="of the runs reported (default: %(default)s)")
     add_flags(parser)
     parsed = parser.parse_args(arguments)
