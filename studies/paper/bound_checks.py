@@ -4,13 +4,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studies.cases import Study
 from studies.paper import theorems
-from studies.paper.encounter_space import EncounterSpace, bottlenecks, sample_scenario
-from studies.paper.swarm_runs import SwarmRun
+from studies.paper.encounter_space import EncounterSpace, bottlenecks, measure_space, sample_scenario
+from studies.paper.swarm_runs import RunCase, SwarmRun, simulate_run
 from studies.truth import diagram_of
 
 ROUNDING = 1e-9
 """Of a length: two ways to the same one may differ by so much."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoundsCase:
+    """A run, and how many points stand for the arena."""
+
+    run: RunCase
+    n_points: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,6 +70,15 @@ class BoundsRun:
     corollary_published: float
     corollary_corrected: float
     corollary_by_landmarks: float
+
+
+def compute_bounds(case: BoundsCase) -> BoundsRun:
+    """Simulate a run, and hold it against the bounds."""
+    run = simulate_run(case.run)
+    return hold_against_bounds(run, measure_space(run), scenario=case.run.place.scenario, n_points=case.n_points)
+
+
+BOUNDS = Study(name="paper-bounds", compute=compute_bounds, result_type=BoundsRun)
 
 
 def hold_against_bounds(run: SwarmRun, space: EncounterSpace, *, scenario: str, n_points: int) -> BoundsRun:

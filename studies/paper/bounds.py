@@ -6,40 +6,22 @@ bounds and distances speak of the same finite sets. delta_e is the covering radi
 """
 
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import product
 
 import numpy as np
 
-from studies.cases import Study, results_of, run_cases
-from studies.paper.bound_checks import ROUNDING, BoundsRun, hold_against_bounds
+from studies.cases import results_of, run_cases
+from studies.paper.bound_checks import BOUNDS, ROUNDING, BoundsCase, BoundsRun
 from studies.paper.bounds_figures import draw_bottlenecks, draw_inflation
-from studies.paper.encounter_space import measure_space
 from studies.paper.experiment import Experiment, Outcome, Setting, perform_main
-from studies.paper.swarm_runs import PRESETS, Place, RunCase, simulate_run
+from studies.paper.swarm_runs import PRESETS, Place, RunCase
 
 _SCENARIOS = ("no-obstacle", "one-obstacle")
 _LANDMARKS = (10, 20, 30, 40)
 _MOVERS = (50, 100, 150, 200)
 _RUNS = 20
 _POINTS, _QUICK_POINTS = 400, 80
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BoundsCase:
-    """A run, and how many points stand for the arena."""
-
-    run: RunCase
-    n_points: int
-
-
-def compute_bounds(case: BoundsCase) -> BoundsRun:
-    """Simulate a run, and hold it against the bounds."""
-    run = simulate_run(case.run)
-    return hold_against_bounds(run, measure_space(run), scenario=case.run.place.scenario, n_points=case.n_points)
-
-
-BOUNDS = Study(name="paper-bounds", compute=compute_bounds, result_type=BoundsRun)
 
 
 def run_bounds(setting: Setting) -> Outcome:

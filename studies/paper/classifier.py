@@ -8,20 +8,17 @@ known, as many are true as there are obstacles. Scaled are arena and obstacles; 
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mapper.types import MapResult, Method
-from studies.cases import Study, results_of, run_cases
+from mapper.types import Method
+from studies.cases import results_of, run_cases
 from studies.paper import drawing
 from studies.paper.classification import PUBLISHED, Theta, Training, count_holes, train
 from studies.paper.experiment import Experiment, Outcome, Setting, perform_main
-from studies.paper.scenarios import make_map
-from studies.paper.swarm_runs import PRESETS, Place, RunCase, SwarmRun, simulate_run
-from studies.scores import count_enclosed
-from studies.truth import Floats, obstacle_points
+from studies.paper.judged_runs import JUDGED, METHODS, Judged, JudgedRun
+from studies.paper.swarm_runs import PRESETS, Place, RunCase
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,52 +26,7 @@ if TYPE_CHECKING:
 _RUNS = 100
 _SCALES = (0.5, 0.75, 1.0, 1.5, 2.0)
 _HOLES = (1, 2, 3)
-_METHODS = (Method.PAPER, Method.DEFAULT)
 _FIRST_TRAINING_SEED = 0
-_LOOP_DIGITS = 6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Judged:
-    """What one method made of a run.
-
-    Parameters
-    ----------
-    loops
-        Finite intervals of dimension 1 of the largest component [diameters], shape (m, 2).
-    n_holes, n_enclosing
-        Holes of the map by the rule that is shipped, and how many of them go around an obstacle, each around one of its own.
-    """
-
-    loops: Floats
-    n_holes: int
-    n_enclosing: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JudgedRun:
-    """One run by both methods."""
-
-    n_encounters: int
-    paper: Judged
-    default: Judged
-
-
-def compute_judged(case: RunCase) -> JudgedRun:
-    """Simulate a run and map it by both methods."""
-    run = simulate_run(case)
-    paper, default = (_judge(run, make_map(run, method)) for method in _METHODS)
-    return JudgedRun(n_encounters=len(run.table), paper=paper, default=default)
-
-
-JUDGED = Study(name="paper-classifier", compute=compute_judged, result_type=JudgedRun)
-
-
-def _judge(run: SwarmRun, result: MapResult) -> Judged:
-    part, places = result.components[0], run.positions[result.points.encounter]
-    n_enclosing = count_enclosed([places[hole.outline] for hole in result.holes], obstacle_points(run.arena))
-    loops = np.round(part.intervals[1] / (part.diameter or 1.0), _LOOP_DIGITS)
-    return Judged(loops=loops, n_holes=len(result.holes), n_enclosing=n_enclosing)
 
 
 def sensitivity(found: Sequence[int], true: Sequence[int]) -> float:
@@ -100,14 +52,14 @@ def run_classifier(setting: Setting) -> Outcome:
     trained: dict[tuple[str, Method], Training] = {}
     for preset in presets:
         own = [run for case, run in zip(training_cases, training_runs, strict=True) if case.preset == preset]
-        for method in _METHODS:
+        for method in METHODS:
             trained[preset, method] = train([_of(run, method).loops for run in own], [2] * len(own))
     rows = [
         _row(case, run, method, trained[case.preset, method].theta)
         for case, run in zip(test_cases, test_runs, strict=True)
-        for method in _METHODS
+        for method in METHODS
     ]
-    table = [_summarise(rows, preset=preset, place=place, method=method) for preset in presets for place in ordered for method in _METHODS]
+    table = [_summarise(rows, preset=preset, place=place, method=method) for preset in presets for place in ordered for method in METHODS]
     training_table = [
         {
             "preset": preset,
@@ -179,7 +131,7 @@ def _draw(
     drawing.draw_arena(arena_axes, case.place.build(seed=case.seed))
     unit = "[1/50 of the side]"
     arena_axes.set(title=f"a two-hole arena of training, seed {case.seed}", xlabel=f"x {unit}", ylabel=f"y {unit}")
-    for axes, method in zip(length_axes, _METHODS, strict=True):
+    for axes, method in zip(length_axes, METHODS, strict=True):
         theta = trained[preset, method].theta
         loops = _of(run, method).loops
         lengths = loops[:, 1] - loops[:, 0]
@@ -190,7 +142,7 @@ def _draw(
         axes.legend()
     for axes, key, values in ((scale_axes, "scale", "true_holes"), (holes_axes, "true_holes", "scale")):
         fixed = 2 if values == "true_holes" else 1.0
-        for method in _METHODS:
+        for method in METHODS:
             own = [row for row in table if (row["preset"], row["method"], row[values]) == (preset, str(method), fixed)]
             colour, x = drawing.METHOD_COLOURS[method], [row[key] for row in own]
             axes.plot(x, [row["sensitivity"] for row in own], "o-", color=colour, label=f"{method}, trained here")
@@ -200,7 +152,7 @@ def _draw(
     scale_axes.set(title="two holes, by scale", xlabel="scale of arena and holes")
     holes_axes.set(title="scale 1, by number of holes", xlabel="true number of holes", xticks=list(_HOLES))
     figure.legend(*holes_axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
-    for method in _METHODS:
+    for method in METHODS:
         own = [row for row in table if (row["preset"], row["method"], row["scale"]) == (preset, str(method), 1.0)]
         error_axes.plot(
             [row["true_holes"] for row in own], [row["error"] for row in own], "o-", color=drawing.METHOD_COLOURS[method], label=str(method)

@@ -5,16 +5,16 @@ figure of them; here tau, epsilon and delta_e are measured, and pairs that break
 """
 
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studies.cases import Study, results_of, run_cases
+from studies.cases import results_of, run_cases
 from studies.paper import drawing, theorems
 from studies.paper.encounter_space import measure_space
 from studies.paper.experiment import Experiment, Outcome, Setting, perform_main
-from studies.paper.step_checks import StepsRun, check_steps, measure_steps
+from studies.paper.step_checks import STEPS, StepsCase, measure_steps
 from studies.paper.swarm_runs import PRESETS, Place, RunCase, simulate_run
 
 if TYPE_CHECKING:
@@ -24,23 +24,6 @@ if TYPE_CHECKING:
 _SCENARIOS = ("no-obstacle", "one-obstacle")
 _RUNS = 20
 _EVENTS, _QUICK_EVENTS = 500, 60
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepsCase:
-    """A run, and about how many of its encounters the theorems are held against."""
-
-    run: RunCase
-    n_events: int
-
-
-def compute_steps(case: StepsCase) -> StepsRun:
-    """Simulate a run, and hold it against the theorems."""
-    run = simulate_run(case.run)
-    return check_steps(run, measure_steps(run, n_events=case.n_events))
-
-
-STEPS = Study(name="paper-convergence", compute=compute_steps, result_type=StepsRun)
 
 
 def run_convergence(setting: Setting) -> Outcome:

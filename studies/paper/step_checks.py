@@ -12,10 +12,11 @@ from mapper.encounter_graph import EncounterGraph, build_components
 from mapper.metric import times_to
 from mapper.types import TICKS_PER_S
 from simulator.arenas.geodesics import geodesic_distances
+from studies.cases import Study
 from studies.paper import theorems
 from studies.paper.carriers import carried_distances
 from studies.paper.encounter_space import find_communities
-from studies.paper.swarm_runs import SIDE, SwarmRun
+from studies.paper.swarm_runs import SIDE, RunCase, SwarmRun, simulate_run
 from studies.truth import Floats, Indices
 
 _CELL = 1.0
@@ -25,6 +26,14 @@ _SOURCES = 20  # encounters from which paths are followed biobot by biobot
 _PRECISION = 0.05  # of delta_e [length]
 _ABOVE = 1.0001  # epsilon over 4 delta_e, which it must exceed
 _ROUNDING = 1e-6  # of lengths along paths of many steps
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepsCase:
+    """A run, and about how many of its encounters the theorems are held against."""
+
+    run: RunCase
+    n_events: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,6 +107,15 @@ class Steps:
     def inflation(self) -> float:
         """lambda_3 of Theorem 1."""
         return theorems.lambda_3(tau=self.tau, epsilon=self.epsilon, delta_e=self.delta_e)
+
+
+def compute_steps(case: StepsCase) -> StepsRun:
+    """Simulate a run, and hold it against the theorems."""
+    run = simulate_run(case.run)
+    return check_steps(run, measure_steps(run, n_events=case.n_events))
+
+
+STEPS = Study(name="paper-convergence", compute=compute_steps, result_type=StepsRun)
 
 
 def measure_steps(run: SwarmRun, *, n_events: int) -> Steps:

@@ -5,18 +5,18 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mapper.pipeline import compute_map
-from mapper.types import MapResult, Method, Recipe
-from studies.cases import Study, results_of, run_cases
+from mapper.types import MapResult
+from studies.cases import results_of, run_cases
 from studies.paper import drawing
 from studies.paper.experiment import Experiment, Outcome, Setting, perform_main
-from studies.paper.swarm_runs import PRESETS, Place, RunCase, SwarmRun, recipe_of, simulate_run
-from studies.truth import Floats, diagram_of
+from studies.paper.interval_powers import POWERS, SUBSAMPLES, Powers, recipes_of
+from studies.paper.swarm_runs import PRESETS, Place, RunCase, SwarmRun, simulate_run
+from studies.truth import diagram_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,62 +24,7 @@ if TYPE_CHECKING:
 
 _PLACE = Place(scenario="one-obstacle")
 _RUNS = 100
-_NAMES = ("maxmin", "KNN-maxmin", "default")
-_COLOURS = dict(zip(_NAMES, (drawing.GREY, drawing.ORANGE, drawing.BLUE), strict=True))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Powers:
-    """Mean squared lengths of signal and noise intervals of dimension 1 [length^2], None where there are none.
-
-    Parameters
-    ----------
-    called_signal, called_noise
-        Signal are those that the map calls holes, as in [Dir16].
-    true_signal, true_noise
-        Signal is the longest one: there is one obstacle.
-    n_called
-        How many holes the map has.
-    """
-
-    called_signal: float | None
-    called_noise: float | None
-    true_signal: float | None
-    true_noise: float | None
-    n_called: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SubsamplingRun:
-    """One run, subsampled in three ways, in the order of ``_NAMES``."""
-
-    powers: tuple[Powers, Powers, Powers]
-
-
-def compute_powers(case: RunCase) -> SubsamplingRun:
-    """Simulate a run, and map it with each subsample."""
-    run = simulate_run(case)
-    maxmin, knn, default = (measure_powers(compute_map(run.table, run.spells, recipe)) for recipe in _recipes(run))
-    return SubsamplingRun(powers=(maxmin, knn, default))
-
-
-POWERS = Study(name="paper-subsampling", compute=compute_powers, result_type=SubsamplingRun)
-
-
-def measure_powers(result: MapResult) -> Powers:
-    """Sum up the intervals of dimension 1 of a map's largest component."""
-    part = result.components[0]
-    loops = part.intervals[1]
-    called = {(hole.birth, hole.death) for hole in result.holes if hole.component == 0}
-    is_called = np.array([tuple(loop) in called for loop in loops.tolist()], dtype=bool)
-    lengths = loops[:, 1] - loops[:, 0]  # longest first
-    return Powers(
-        called_signal=_power(lengths[is_called]),
-        called_noise=_power(lengths[~is_called]),
-        true_signal=_power(lengths[:1]),
-        true_noise=_power(lengths[1:]),
-        n_called=int(is_called.sum()),
-    )
+_COLOURS = dict(zip(SUBSAMPLES, (drawing.GREY, drawing.ORANGE, drawing.BLUE), strict=True))
 
 
 def signal_to_noise(signals: Sequence[float | None], noises: Sequence[float | None]) -> float | None:
@@ -88,15 +33,6 @@ def signal_to_noise(signals: Sequence[float | None], noises: Sequence[float | No
     if not (signal and noise and np.mean(noise) > 0):
         return None
     return float(np.mean(signal) / np.mean(noise))
-
-
-def _power(lengths: Floats) -> float | None:
-    return float(np.mean(lengths**2)) if len(lengths) else None
-
-
-def _recipes(run: SwarmRun) -> tuple[Recipe, Recipe, Recipe]:
-    paper = recipe_of(Method.PAPER, speed=run.speed)
-    return replace(paper, outlier_q=1.0), paper, recipe_of(Method.DEFAULT, speed=run.speed)
 
 
 def run_subsampling(setting: Setting) -> Outcome:
@@ -118,13 +54,13 @@ def run_subsampling(setting: Setting) -> Outcome:
             "true_noise": own.true_noise,
         }
         for case, run in zip(cases, runs, strict=True)
-        for name, own in zip(_NAMES, run.powers, strict=True)
+        for name, own in zip(SUBSAMPLES, run.powers, strict=True)
     ]
     table, figures = [], {}
     for preset in presets:
         of_preset = [run.powers for case, run in zip(cases, runs, strict=True) if case.preset == preset]
         ratios = {}
-        for name, own in zip(_NAMES, zip(*of_preset, strict=True), strict=True):
+        for name, own in zip(SUBSAMPLES, zip(*of_preset, strict=True), strict=True):
             ratios[name] = _ratios(own)
             table.append(
                 {
@@ -151,7 +87,7 @@ def _ratios(powers: Sequence[Powers]) -> tuple[list[float], list[float]]:
 
 def _draw(run: SwarmRun, ratios: dict[str, tuple[list[float], list[float]]], *, title: str) -> "Figure":
     figure, axes = drawing.new_figure(2, 3, size=(11.5, 7.4))
-    for name, recipe, row in zip(_NAMES, _recipes(run), axes, strict=False):
+    for name, recipe, row in zip(SUBSAMPLES, recipes_of(run), axes, strict=False):
         _draw_sample(row[0], row[1], run, compute_map(run.table, run.spells, recipe), name=name)
     _draw_shares(axes[0][2], {name: own[1] for name, own in ratios.items()}, title="signal: the longest interval")
     _draw_shares(axes[1][2], {name: own[0] for name, own in ratios.items()}, title="signal: what is called a hole")

@@ -9,8 +9,7 @@ import numpy as np
 from shapely import affinity
 from shapely.geometry import box
 
-from mapper.config import RecipeConfig, make_recipe
-from mapper.types import EncounterTable, Method, ModeSpell, Recipe
+from mapper.types import EncounterTable, ModeSpell
 from simulator.arenas.arena import Arena, build_arena
 from simulator.arenas.geodesics import geodesic_distances
 from simulator.arenas.scenarios import find_scenario
@@ -146,8 +145,3 @@ def simulate_run(case: RunCase) -> SwarmRun:
         landmark_positions=world.positions_of(ids, np.full(len(ids), start_s)),
         mover_positions=world.positions_of(movers, np.full(len(movers), start_s)),
     )
-
-
-def recipe_of(method: Method, *, speed: float) -> Recipe:
-    """Return a method's recipe whose lengths are those of the run."""
-    return make_recipe(RecipeConfig(method=method, speed_mps=speed))

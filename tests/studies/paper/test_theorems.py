@@ -15,8 +15,9 @@ from studies.paper import theorems
 from studies.paper.bound_checks import hold_against_bounds
 from studies.paper.carriers import carried_distances
 from studies.paper.encounter_space import EncounterSpace, measure_space
+from studies.paper.map_scores import recipe_of
 from studies.paper.step_checks import check_steps, cover_space_time, measure_steps
-from studies.paper.swarm_runs import Place, RunCase, SwarmRun, recipe_of, simulate_run
+from studies.paper.swarm_runs import Place, RunCase, SwarmRun, simulate_run
 
 pytestmark = pytest.mark.xdist_group("paper")
 """What they share is made once, by one worker."""
