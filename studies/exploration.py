@@ -9,7 +9,6 @@ from firmware_protocol.landmarks import select_landmarks
 from firmware_protocol.units import NS_PER_S, NodeId
 from mapper.types import EncounterTable, ModeSpell
 from mapper.window import make_encounter_table
-from simulator.events import EncounterEnded
 from simulator.world import World
 
 _DISPERSION_S = 10.0
@@ -36,17 +35,21 @@ def explore(world: World, *, landmarks: int, duration_s: float) -> Exploration:
     duration_s
         Time from when they are set [s].
     """
-    events = world.advance(_DISPERSION_S)
+    before = world.run(_DISPERSION_S).ended
     chosen = select_landmarks(world.adjacency(), count=landmarks)
     for landmark in chosen:
         world.stop(landmark)
     end_s = _DISPERSION_S + duration_s
-    events += world.advance(end_s)
-    spans = [(event.t_start_s, event.t_end_s, event.id1, event.id2) for event in events if isinstance(event, EncounterEnded)]
-    spans += [(began.t_s, end_s, began.id1, began.id2) for began in world.open_encounters()]
-    rows = [(max(begin, _DISPERSION_S), end, first, second) for begin, end, first, second in spans if end > _DISPERSION_S]
-    begin, end = (np.rint(np.array([row[k] for row in rows]) * NS_PER_S).astype(np.int64) for k in (0, 1))
-    table = make_encounter_table(t_start_ns=begin, t_end_ns=end, id1=[row[2] for row in rows], id2=[row[3] for row in rows])
+    after = world.run(end_s).ended
+    still = world.open_encounters()
+    begin_s = np.concatenate([before.t_start_s, after.t_start_s, np.array([one.t_s for one in still], dtype=np.float64)])
+    last_s = np.concatenate([before.t_end_s, after.t_end_s, np.full(len(still), end_s)])
+    id1 = np.concatenate([before.id1, after.id1, np.array([one.id1 for one in still], dtype=np.int64)])
+    id2 = np.concatenate([before.id2, after.id2, np.array([one.id2 for one in still], dtype=np.int64)])
+    counts = last_s > _DISPERSION_S
+    begin_s = np.maximum(begin_s[counts], _DISPERSION_S)
+    begin, end = (np.rint(times * NS_PER_S).astype(np.int64) for times in (begin_s, last_s[counts]))
+    table = make_encounter_table(t_start_ns=begin, t_end_ns=end, id1=id1[counts], id2=id2[counts])
     zero_ns = round(_DISPERSION_S * NS_PER_S)
     spells = tuple(ModeSpell(node=NodeId(one), t_start_ns=zero_ns, t_end_ns=None, mode=Mode.S, cause=Cause.COMMAND) for one in chosen)
-    return Exploration(table=table, spells=spells, n_together=sum(row[0] == _DISPERSION_S for row in rows))
+    return Exploration(table=table, spells=spells, n_together=int((begin_s == _DISPERSION_S).sum()))
