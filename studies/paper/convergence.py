@@ -70,10 +70,13 @@ def _draw(case: StepsCase) -> "Figure":
     events_axes.scatter(true, found, s=1, alpha=0.12, color=drawing.BLUE, linewidths=0, rasterized=True)
     _draw_limits(events_axes, limit=float(true.max()), inflation=steps.inflation, tau=steps.tau)
     events_axes.set(
-        title=f"Theorem 1: {len(steps.events)} encounters, delta_e = {steps.delta_e:.1f}, tau = {steps.tau:.0f}",
+        title=f"Theorem 1: {len(steps.events)} encounters, delta_e = {steps.delta_e:.0f}, tau = {steps.tau:.0f}",
         xlabel="max(d_M, |dt|) [1/50 of the side]",
         ylabel="d_GE [1/50 of the side]",
-        ylim=(0, 1.6 * float(found.max())),
+        xscale="log",
+        yscale="log",
+        xlim=(1.0, float(true.max())),
+        ylim=(1.0, 3.0 * float(found.max())),
     )
     above = np.triu_indices(len(space.landmarks), 1)
     true, found = space.true_between_landmarks[above], space.between_landmarks[above]
@@ -83,6 +86,7 @@ def _draw(case: StepsCase) -> "Figure":
         title=f"Theorem 2: {len(space.landmarks)} landmarks, {np.mean(found < true):.0%} of the pairs below d_M",
         xlabel="d_M [1/50 of the side]",
         ylabel="d_GEL [1/50 of the side]",
+        xlim=(0, float(true.max())),
         ylim=(0, 3.0 * float(true.max())),
     )
     figure.legend(*events_axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
@@ -91,11 +95,10 @@ def _draw(case: StepsCase) -> "Figure":
 
 
 def _draw_limits(axes: "Axes", *, limit: float, inflation: float, tau: float) -> None:
-    x = np.array([0.0, limit])
+    x = np.linspace(0.0, limit, 2_000)
     axes.plot(x, x, color="black", linewidth=1.0, label="lower bound")
     axes.plot(x, theorems.theorem_1(x, inflation=inflation), color=drawing.ORANGE, label="upper bound, published")
     axes.plot(x, theorems.theorem_1(x, inflation=inflation, tau=tau), color=drawing.GREEN, label="upper bound, corrected")
-    axes.set_xlim(0, limit)
 
 
 EXPERIMENT = Experiment(name="convergence", about="Theorems 1 and 2 with measured constants, scenarios 1 and 2", run=run_convergence)
