@@ -115,7 +115,7 @@ def _draw_shares(axes: "Axes", ratios: dict[str, list[float]], *, title: str) ->
     for name, values in ratios.items():
         ordered = np.sort(values)
         axes.step(ordered, np.arange(1, len(ordered) + 1) / max(1, len(ordered)), where="post", color=_COLOURS[name], label=name)
-    powers = np.log10(np.concatenate([values for values in ratios.values() if values] or [np.ones(1)]))
+    powers = np.log10(np.concatenate([values for values in ratios.values() if values] or [[1.0]]))
     limits = (10.0 ** np.floor(powers.min()), 10.0 ** (np.floor(powers.max()) + 1.0))
     counts = ", ".join(str(len(values)) for values in ratios.values())
     axes.set(
