@@ -52,6 +52,9 @@ train: venv  ## train the hole classifier anew on simulated arenas (hours; resum
 sweep: venv  ## simulate and map over a grid of parameters (resumable; ARGS="studies/data/recipes.toml --csv out.csv")
 	$(PY) -m studies.sweep $(ARGS)
 
+paper: venv  ## every experiment of the paper: figures, data and the tables of docs/paper.md (an hour; resumable; ARGS="--jobs 1")
+	$(PY) -m studies.paper --changed recompute $(ARGS) && $(PY) -m studies.paper.report
+
 theory: venv  ## compare motion, meetings and walls with theory, and encounters with brute force (minutes)
 	$(PY) -m studies.motion_theory $(ARGS) && $(PY) -m studies.encounter_check
 
