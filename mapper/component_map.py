@@ -12,7 +12,7 @@ from mapper.encounter_graph import EncounterGraph
 from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, times_to
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
-from mapper.persistence import rips_persistence
+from mapper.persistence import Diagram, rips_persistence
 from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import subsample_maxmin
@@ -32,7 +32,10 @@ class PlacedComponent:
     """A component's map before it is put beside the others; point indices count from 0 within it.
 
     ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2). ``n_anchors`` encounters served as
-    references because landmarks were too few.
+    references because landmarks were too few. ``doubt`` [unit of lengths], shape (m,), is half the gap between the bounds of each point's
+    distances to the references; 0 where there are no bounds. ``to_landmarks``
+    [unit of lengths], shape (m, l), says how far each point is from l places where a landmark stood, and ``landmark_encounters``, shape
+    (l,), names an encounter of each; l is 0 where fewer than three are compared with.
     """
 
     summary: ComponentMap
@@ -40,6 +43,10 @@ class PlacedComponent:
     coordinates: FloatArray
     holes: tuple[Hole, ...]
     skeleton: Skeleton
+    diagram: Diagram
+    doubt: FloatArray
+    to_landmarks: FloatArray
+    landmark_encounters: IntArray
     n_anchors: int
     warnings: tuple[str, ...]
 
@@ -74,8 +81,10 @@ def map_component(
     """
     begin("metric")
     references, n_anchors, warnings = _choose_references(graph, recipe, index=index)
-    metric, kept, candidates = _compare_and_filter(graph, references, recipe, begin=begin)
+    metric, kept, candidates, doubt = _compare_and_filter(graph, references, recipe, begin=begin)
     begin("subsample")
+    compared = references if isinstance(metric, ProfileMetric) and n_anchors == 0 else references[:0]
+    to_landmarks = metric.profiles if isinstance(metric, ProfileMetric) and n_anchors == 0 else np.zeros((graph.n_vertices, 0))
     sample = subsample_maxmin(metric, candidates, n_points=n_points)
     begin("persistence")
     lengths = sample.distances / ticks_per_length
@@ -111,6 +120,10 @@ def map_component(
         coordinates=embedding.coordinates,
         holes=holes,
         skeleton=build_skeleton(lengths, epsilon=epsilon),
+        diagram=diagram,
+        doubt=read_only(doubt[sample.vertices] / ticks_per_length),
+        to_landmarks=read_only(to_landmarks[sample.vertices] / ticks_per_length),
+        landmark_encounters=graph.first_encounter[compared].astype(np.int64),
         n_anchors=n_anchors,
         warnings=warnings,
     )
@@ -137,18 +150,19 @@ def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> 
 
 def _compare_and_filter(
     graph: EncounterGraph, references: IntArray, recipe: Recipe, *, begin: Callable[[str], None]
-) -> tuple[Metric, BoolArray, BoolArray]:
-    """Make the metric, and say which vertices are good enough, and which of those may be picked."""
+) -> tuple[Metric, BoolArray, BoolArray, FloatArray]:
+    """Make the metric, and say which vertices are good enough, which of those may be picked, and how doubtful each is [ticks]."""
+    no_doubt = np.zeros(graph.n_vertices)
     if recipe.metric is MetricKind.ENCOUNTER:
         along_graph = EncounterMetric(graph=graph)
         begin("outliers")
         kept = _inliers(along_graph, recipe)
-        return along_graph, kept, kept
+        return along_graph, kept, kept, no_doubt
     if not recipe.bracketed:
         between_profiles = profile_metric(graph, references, norm=recipe.profile_norm)
         begin("outliers")
         kept = _inliers(between_profiles, recipe)
-        return between_profiles, kept, thin_out(kept, limit=recipe.max_candidates)
+        return between_profiles, kept, thin_out(kept, limit=recipe.max_candidates), no_doubt
     bracket = bracket_profiles(times_to(graph, references), references, kernels=graph.kernels)
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
@@ -157,7 +171,7 @@ def _compare_and_filter(
     share = recipe.smoothing_share * (candidates.sum() / kept.sum())
     profiles = bracket.middle
     profiles[candidates] = smooth_profiles(profiles[candidates], n_neighbours=round(share * graph.n_vertices), kernels=graph.kernels)
-    return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept, candidates
+    return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept, candidates, bracket.doubt
 
 
 def _inliers(metric: Metric, recipe: Recipe) -> BoolArray:

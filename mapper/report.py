@@ -1,14 +1,18 @@
 """A finished map as a JSON object for programs, and as a summary for a person. Nothing in the JSON is nan or infinite."""
 
+from collections.abc import Sequence
 from math import isfinite
 
-from mapper.types import BettiRule, ComponentMap, FloatArray, MapResult, Recipe
+from mapper.confidence import describe_count, sure_text
+from mapper.types import BettiRule, ComponentMap, DataVerdict, FloatArray, Hole, HoleCount, MapResult, Recipe
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 JsonObject = dict[str, JsonValue]
 
 _NS_PER_S = 1e9
 _LISTED_INTERVALS = 5
+_LEAST_TOLD = 1e-4  # of the probabilities of numbers of holes
+_LISTED_PROBABILITY = 0.1  # of a possible hole, for a person
 
 
 def to_json_object(result: MapResult) -> JsonObject:
@@ -18,14 +22,17 @@ def to_json_object(result: MapResult) -> JsonObject:
     -------
     JsonObject
         ``betti_numbers`` [b0, b1]; ``intervals`` of all components by dimension, death null where it never comes; ``points`` with map
-        coordinates, time [s] and biobots; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth, death,
-        component, and ``confidence`` null until it is known; ``complex`` (edges and triangles as indices of points); ``components`` (those
+        coordinates, time [s], biobots and ``is_well_seen``; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth,
+        death, component and ``probability``, and ``possible_holes`` of the same form; ``hole_count`` (value, its probability, and that of
+        each number); ``data`` (is_enough, reasons, remedies); ``complex`` (edges and triangles as indices of points); ``components`` (those
         mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``, ``n_used``,
-        ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``.
+        ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``. What tells how sure the map is is null where nobody
+        knows.
     """
     points = result.points
     xy = [[float(x), float(y)] for x, y in zip(points.x, points.y, strict=True)]
-    rows = zip(xy, points.t_ns.tolist(), points.id1.tolist(), points.id2.tolist(), points.component.tolist(), strict=True)
+    is_seen = [None] * len(points) if points.is_well_seen is None else points.is_well_seen.tolist()
+    rows = zip(xy, points.t_ns.tolist(), points.id1.tolist(), points.id2.tolist(), points.component.tolist(), is_seen, strict=True)
     return {
         "betti_numbers": list(result.betti_numbers),
         "intervals": {
@@ -33,20 +40,13 @@ def to_json_object(result: MapResult) -> JsonObject:
             for dimension in (0, 1)
         },
         "points": [
-            {"x": place[0], "y": place[1], "t": t_ns / _NS_PER_S, "id1": id1, "id2": id2, "component": component}
-            for place, t_ns, id1, id2, component in rows
+            {"x": place[0], "y": place[1], "t": t_ns / _NS_PER_S, "id1": id1, "id2": id2, "component": component, "is_well_seen": seen}
+            for place, t_ns, id1, id2, component, seen in rows
         ],
-        "holes": [
-            {
-                "outline": [list(xy[point]) for point in hole.outline.tolist()],
-                "points": hole.outline.tolist(),
-                "birth": hole.birth,
-                "death": hole.death,
-                "component": hole.component,
-                "confidence": None,
-            }
-            for hole in result.holes
-        ],
+        "holes": [_hole(hole, xy) for hole in result.holes],
+        "possible_holes": [_hole(hole, xy) for hole in result.possible_holes],
+        "hole_count": _hole_count(result.hole_count),
+        "data": _verdict(result.data),
         "complex": {"edges": result.edges.tolist(), "triangles": result.triangles.tolist()},
         "components": [_component(part, index) for index, part in enumerate(result.components)],
         "n_components": result.n_components,
@@ -64,8 +64,10 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
     b0, b1 = result.betti_numbers
     unit = result.length_unit
     recipe = result.recipe
+    sure = "" if result.hole_count is None else f" ({describe_count(result.hole_count)})"
     lines = [
-        f"{_counted(b0, 'component')}, {_counted(b1, 'hole')}",
+        *_doubts(result.data),
+        f"{_counted(b0, 'component')}, {_counted(b1, 'hole')}{sure}",
         f"encounters     {result.n_encounters}, of which {result.n_used} used; {len(result.points)} points drawn",
         *([] if part is None else [f"part           {part}"]),
         f"method         {recipe.method}, metric {recipe.metric}",
@@ -73,17 +75,62 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
         f"lost spectrum  {result.lost_spectrum:.1%} of the shape does not fit the plane",
     ]
     lines += [
-        f"hole {number:<9} birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}"
+        f"hole {number:<9} {_sure(hole)}birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}"
         for number, hole in enumerate(result.holes, start=1)
     ]
     lines += [
+        f"possible hole  {_sure(hole)}birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}"
+        for hole in result.possible_holes
+        if (hole.probability or 0.0) >= _LISTED_PROBABILITY
+    ]
+    lines += [
         f"component {index:<4} encounters {part.n_encounters}, landmarks {part.n_landmarks}, holes {part.betti_numbers[1]}"
+        + ("" if part.stability_band is None else f", loops within {part.stability_band:.3g} {unit}")
         for index, part in enumerate(result.components)
     ]
     longest = ", ".join(
         f"{birth:.4g}-{death:.4g}" for part in result.components for birth, death in part.intervals[1][:_LISTED_INTERVALS].tolist()
     )
     return "\n".join([*lines, f"longest loops  {longest or 'none'} [{unit}]"])
+
+
+def _doubts(data: DataVerdict | None) -> list[str]:
+    """Say first of all that the data are not enough, why, and what would help."""
+    if data is None or data.is_enough:
+        return []
+    return [
+        "NOT ENOUGH DATA YET",
+        *(f"  because {reason}" for reason in data.reasons),
+        *(f"  it would help to {remedy}" for remedy in data.remedies),
+    ]
+
+
+def _sure(hole: Hole) -> str:
+    return "" if hole.probability is None else f"{sure_text(hole.probability)}, "
+
+
+def _hole(hole: Hole, xy: Sequence[list[float]]) -> JsonObject:
+    return {
+        "outline": [list(xy[point]) for point in hole.outline.tolist()],
+        "points": hole.outline.tolist(),
+        "birth": hole.birth,
+        "death": hole.death,
+        "component": hole.component,
+        "probability": hole.probability,
+    }
+
+
+def _hole_count(count: HoleCount | None) -> JsonObject | None:
+    if count is None:
+        return None
+    probabilities: JsonObject = {str(number): chance for number, chance in enumerate(count.probabilities) if chance >= _LEAST_TOLD}
+    return {"value": count.value, "probability": count.probability, "probabilities": probabilities}
+
+
+def _verdict(data: DataVerdict | None) -> JsonObject | None:
+    if data is None:
+        return None
+    return {"is_enough": data.is_enough, "reasons": list(data.reasons), "remedies": list(data.remedies)}
 
 
 def _component(part: ComponentMap, index: int) -> JsonObject:
@@ -99,6 +146,7 @@ def _component(part: ComponentMap, index: int) -> JsonObject:
         "cover_radius": part.cover_radius,
         "epsilon": part.epsilon,
         "lost_spectrum": part.lost_spectrum,
+        "stability_band": part.stability_band,
     }
 
 
@@ -124,6 +172,7 @@ def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
         "epsilon_share": recipe.epsilon_share,
         "betti_rules": {str(dimension): _rule(rule) for dimension, rule in enumerate(rules)},
         "speed_mps": recipe.speed_mps,
+        "replicates": recipe.replicates,
         "length_unit": length_unit,
     }
 

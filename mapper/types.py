@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-ArrayT = TypeVar("ArrayT", IntArray, FloatArray)
+ArrayT = TypeVar("ArrayT", IntArray, FloatArray, BoolArray)
 
 TICKS_PER_S = 2_000_000_000
 
@@ -118,7 +118,8 @@ class Recipe:
     may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
     ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
     those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets the
-    holes found decide. ``speed_mps`` None gives lengths in seconds.
+    holes found decide. ``speed_mps`` None gives lengths in seconds. So many ``replicates``, each of a part of the time, are mapped too, to
+    say how sure the map is; 0 says nothing of that.
     """
 
     method: Method
@@ -136,6 +137,7 @@ class Recipe:
     betti_rules: tuple[BettiRule, BettiRule] | None
     epsilon_share: float | None
     speed_mps: float | None
+    replicates: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,7 +146,8 @@ class Points:
 
     All arrays have shape (p,). ``x`` and ``y`` are map coordinates [unit of lengths]; ``t_ns`` is the centre of the encounter [ns, rounded
     down]; ``component`` says which of ``MapResult.components`` it is in, and the points of one component stand together;
-    ``encounter`` is the row in the encounter table.
+    ``encounter`` is the row in the encounter table. ``is_well_seen``: its distances are most likely right (docs/confidence.md); None where
+    nobody knows.
     """
 
     x: FloatArray
@@ -154,6 +157,7 @@ class Points:
     id2: IntArray
     component: IntArray
     encounter: IntArray
+    is_well_seen: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.x)
@@ -167,7 +171,8 @@ class ComponentMap:
     ``n_used`` encounters were left after the outliers were dropped. ``cover_radius``: none of those that could have become points is
     further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
     where a landmark stood.
-    ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``.
+    ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``. The loops of the true diagram are
+    within ``stability_band`` of ``intervals[1]`` (bottleneck distance) in 95 of 100 maps; None where nobody knows.
     """
 
     n_encounters: int
@@ -181,16 +186,40 @@ class ComponentMap:
     distances: FloatArray
     intervals: tuple[FloatArray, FloatArray]
     betti_numbers: tuple[int, int]
+    stability_band: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hole:
-    """A hole called real: ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,)."""
+    """A hole called real, or one that may be there.
+
+    ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,). ``probability``: that it goes
+    around an obstacle one can walk around, and no longer interval goes around the same; None where nobody knows.
+    """
 
     component: int
     birth: float
     death: float
     outline: IntArray
+    probability: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HoleCount:
+    """How many holes the map shows, how likely that is right, and how likely there are 0, 1, 2, ... holes in truth."""
+
+    value: int
+    probability: float
+    probabilities: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataVerdict:
+    """Whether the encounters are enough for what the map says; if not, why, and what would help."""
+
+    is_enough: bool
+    reasons: tuple[str, ...]
+    remedies: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -199,7 +228,8 @@ class MapResult:
 
     ``components`` are those that were mapped, the largest first; ``n_components`` counts all there are. ``edges`` (e, 2) and ``triangles``
     (t, 3) are indices of points: the Rips complex of each component at its ``epsilon``. ``diameter`` is the largest of
-    any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m".
+    any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m". ``possible_holes`` are loops that are not called real and
+    may be holes all the same, the likeliest first. ``hole_count`` and ``data`` are None where nobody knows how sure the map is.
     """
 
     betti_numbers: tuple[int, int]
@@ -216,6 +246,9 @@ class MapResult:
     length_unit: str
     recipe: Recipe
     warnings: tuple[str, ...]
+    hole_count: HoleCount | None = None
+    possible_holes: tuple[Hole, ...] = ()
+    data: DataVerdict | None = None
 
 
 def read_only(array: ArrayT) -> ArrayT:

@@ -16,6 +16,7 @@ import numpy as np
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.landmarks import select_landmarks
 from firmware_protocol.units import NS_PER_S, NodeId
+from mapper.bottleneck import bottleneck_distance
 from mapper.config import RecipeConfig, make_recipe
 from mapper.pipeline import compute_map
 from mapper.types import EncounterTable, IntArray, MapResult, ModeSpell
@@ -26,7 +27,6 @@ from simulator.config import Ranges
 from simulator.motion import MotionParameters
 from simulator.world import World
 from studies.arenas import ArenaFamily, draw_arena
-from studies.bottleneck import bottleneck_distance
 from studies.cases import PackageFile, Study, results_of, run_cases
 from studies.cases.flags import add_flags, read_flags
 from studies.errors import StudyError

@@ -6,7 +6,7 @@ import numpy as np
 
 from mapper.pipeline import compute_map
 from mapper.types import EncounterTable, FloatArray, ModeSpell, Recipe
-from simulator.arenas.arena import build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.config import Ranges
 from simulator.motion import MotionParameters
 from simulator.world import World
@@ -130,6 +130,22 @@ def run_trial(setting: Setting, seed: int, recipe: Recipe) -> Trial:
 
 def simulate(setting: Setting, seed: int) -> tuple[EncounterTable, tuple[ModeSpell, ...], int]:
     """Let biobots walk in a random arena; return their encounters, the landmarks' spells and the true number of holes."""
+    run = start_run(setting, seed)
+    return run.table, run.spells, run.arena.betti.holes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Run:
+    """What a base station would know of a run, the arena, and the world at the end, which knows where everybody was."""
+
+    table: EncounterTable
+    spells: tuple[ModeSpell, ...]
+    arena: Arena
+    world: World
+
+
+def start_run(setting: Setting, seed: int) -> Run:
+    """Let biobots walk in a random arena."""
     arena = build_arena(draw_arena(setting.family, seed=seed))
     world = World(
         arena,
@@ -139,4 +155,4 @@ def simulate(setting: Setting, seed: int) -> tuple[EncounterTable, tuple[ModeSpe
         seed=seed,
     )
     explored = explore(world, landmarks=setting.landmarks, duration_s=setting.duration_s)
-    return explored.table, explored.spells, arena.betti.holes
+    return Run(table=explored.table, spells=explored.spells, arena=arena, world=world)
