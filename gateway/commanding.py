@@ -5,6 +5,7 @@ from typing import Self
 
 from firmware_protocol.contract.commands import StimulationRequest
 from gateway.audit_log import AuditLog
+from gateway.begun import begin
 from gateway.bus import Bus
 from gateway.bus_commands import STOPS, CommandAnswer
 from gateway.commanders import LATE_TOKEN_S, Commanders
@@ -80,10 +81,14 @@ class Commanding:
         return cls(gate=gate, commanders=commanders, dead_man=dead_man)
 
     def take(self, tasks: asyncio.TaskGroup, request: StimulationRequest, answer: CommandAnswer) -> None:
-        """Take a command from the bus; until the gateway has ended, for a stop may come while it does."""
+        """Take a command from the bus; until the gateway has ended, for a stop may come while it does. A stop is sent at once."""
         if self._has_ended:
             return
-        task = tasks.create_task(self._take(request, answer))
+        taking = self._take(request, answer)
+        rest = begin(taking) if request.action in STOPS else taking
+        if rest is None:
+            return
+        task = tasks.create_task(rest)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 

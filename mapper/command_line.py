@@ -1,7 +1,7 @@
 """Commands of the mapper, their flags and outputs.
 
-``run`` maps a file, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need,
-``config`` prints what a configuration file may say.
+``run`` maps a file, ``merge`` several as one, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show, ``warm-up``
+sees to what they need, ``config`` prints what a configuration file may say.
 """
 
 import argparse
@@ -22,6 +22,7 @@ from mapper.output_files import STANDARD, check_outputs, is_standard_output, wri
 from mapper.types import MapResult, Method, MetricKind
 
 _MAX_ID = 2**63 - 1
+_MAX_SHIFT_S = 4e9  # as times of the files
 _NEGATIVE = re.compile(r"-([0-9]+\.?[0-9]*|\.[0-9]+)[eE][+-]?[0-9]+|-(inf|infinity|nan)", re.ASCII | re.IGNORECASE)
 _EXIT_FAILED, _EXIT_USAGE = 1, 2
 _TITLE = (
@@ -55,6 +56,8 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         return _check_configuration(args)
     if args.command == "run":
         return _run(args, parser)
+    if args.command == "merge":
+        return _merge(args, parser)
     if args.command == "serve":
         from mapper.service import main as serve  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
 
@@ -66,7 +69,7 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     if args.command == "config":
         return _print_config(args)
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, serve, feasibility, warm-up or config"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, merge, serve, feasibility, warm-up or config"], status=_EXIT_USAGE)
 
 
 def _check_configuration(args: argparse.Namespace) -> int:
@@ -140,6 +143,20 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     return 0
 
 
+def _merge(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    if not args.inputs:
+        parser.error("merge: give recordings or maps: CSV files, directories of runs, or JSON files of biobot-mapper run")
+    config = load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
+    from mapper.merge_command import merge  # noqa: PLC0415  # see _run
+
+    check_outputs(_given(args.json, args.svg, args.png), _given(*args.inputs, *args.modes, args.config))
+    result, facts = merge(args, make_recipe(config.recipe))
+    for warning in result.warnings:
+        print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
+    _write_outputs(result, facts, args, part=f"{len(args.inputs)} recordings or maps as one")
+    return 0
+
+
 def _foretell(args: argparse.Namespace) -> int:
     from mapper.feasibility_report import report, to_json  # noqa: PLC0415  # see _run
 
@@ -177,7 +194,7 @@ def _given(*paths: Path | None) -> list[Path]:
     return [path for path in paths if path is not None]
 
 
-def _write_outputs(result: MapResult, facts: Mapping[str, float | None], args: argparse.Namespace, *, part: str | None) -> None:
+def _write_outputs(result: MapResult, facts: Mapping[str, object], args: argparse.Namespace, *, part: str | None) -> None:
     from mapper.render import render_map  # noqa: PLC0415  # see _run
     from mapper.report import summarize, to_json_object  # noqa: PLC0415  # see _run
 
@@ -196,10 +213,14 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
     parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
-    commands = parser.add_subparsers(dest="command", metavar="{run,serve,feasibility,warm-up,config}")
+    commands = parser.add_subparsers(dest="command", metavar="{run,merge,serve,feasibility,warm-up,config}")
     run = commands.add_parser("run", help="make a map of a CSV file", description="Make a map of a CSV file of encounters.")
     _add_common(run, default=argparse.SUPPRESS)
     _add_run_arguments(run)
+    about = "Make one map of several recordings: successive windows of a swarm that moves on, or sites that share landmarks or biobots."
+    merge = commands.add_parser("merge", help="make one map of several recordings", description=about)
+    _add_common(merge, default=argparse.SUPPRESS)
+    _add_merge_arguments(merge)
     serve = commands.add_parser("serve", help="keep a live map and serve it", description="Keep a live map and serve it over HTTP.")
     _add_common(serve, default=argparse.SUPPRESS)
     if "serve" in given:
@@ -239,6 +260,23 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("--from-s", type=float, metavar="T", help="leave out what was over at this time of the file")
     run.add_argument("--until-s", type=float, metavar="T", help="leave out what had not begun at this time of the file")
     run.add_argument("--window-s", type=float, metavar="S", help="leave out what was over S before the newest encounter's end")
+    _add_map_arguments(run)
+
+
+def _add_merge_arguments(merge: argparse.ArgumentParser) -> None:
+    merge.add_argument(
+        "inputs", type=Path, nargs="*", metavar="INPUT", help="CSV of encounters, or a directory with encounters.csv and modes.csv"
+    )
+    merge.add_argument(
+        "--modes", type=Path, action="append", default=[], metavar="FILE", help="CSV of modes; once for each CSV of encounters, in order"
+    )
+    merge.add_argument("--shift-s", type=_seconds, metavar="S,S", help="add to the times of each input, in order: clocks that differ")
+    merge.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
+    _add_map_arguments(merge)
+
+
+def _add_map_arguments(run: argparse.ArgumentParser) -> None:
+    """Add what all commands that make a map take: the recipe, and where results go."""
     run.add_argument("--speed-mps", type=float, metavar="V", help="walking speed [m/s]: lengths are then metres, else seconds")
     run.add_argument("--method", choices=[str(method) for method in Method], help="the whole recipe (default: default)")
     run.add_argument(
@@ -270,6 +308,16 @@ def _ids(text: str) -> tuple[int, ...]:
     if wrong:
         raise argparse.ArgumentTypeError(f"{wrong[0]!r} is no id; wanted whole numbers from 0 to 2^63-1, as 3,17,20")
     return tuple(int(part) for part in parts)
+
+
+def _seconds(text: str) -> tuple[float, ...]:
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if not found or not all(abs(one) <= _MAX_SHIFT_S for one in found):
+        raise argparse.ArgumentTypeError(f"{text!r}; wanted seconds for each input, at most {_MAX_SHIFT_S:g} either way, as 0,-12.5")
+    return found
 
 
 def _complain(lines: Sequence[str], *, status: int) -> int:

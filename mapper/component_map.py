@@ -17,6 +17,7 @@ from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profil
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, Recipe, read_only
+from mapper.views import ONE_VIEW, Views, count_views
 
 MIN_LANDMARKS = 3
 """Landmarks that profiles need: distances to one or two places cannot tell the two sides of a line apart."""
@@ -25,6 +26,8 @@ MIN_LANDMARKS = 3
 _MAX_PROFILE_NUMBERS = 2**26
 _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
+# Of a map that many views were put together to: more points take long.
+_MAX_POINTS_OF_VIEWS = 1500
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,16 +84,17 @@ def map_component(
     """
     begin("metric")
     references, n_anchors, warnings = _choose_references(graph, recipe, index=index)
-    metric, kept, candidates, doubt = _compare_and_filter(graph, references, recipe, begin=begin)
+    metric, kept, candidates, doubt, views = _compare_and_filter(graph, references, recipe, begin=begin)
     begin("subsample")
     compared = references if isinstance(metric, ProfileMetric) and n_anchors == 0 else references[:0]
     to_landmarks = metric.profiles if isinstance(metric, ProfileMetric) and n_anchors == 0 else np.zeros((graph.n_vertices, 0))
-    sample = subsample_maxmin(metric, candidates, n_points=n_points)
+    sample = subsample_maxmin(metric, candidates, n_points=count_points_of_views(n_points, views))
     begin("persistence")
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
     diameter = float(lengths.max())
-    real = [judge_intervals(part, rule, diameter=diameter) for part, rule in zip(diagram.intervals, rules, strict=True)]
+    reach = views.reach * diameter
+    real = [judge_intervals(part, rule, diameter=reach) for part, rule in zip(diagram.intervals, rules, strict=True)]
     begin("embedding")
     embedding = embed_in_plane(lengths)
     merges, loops = diagram.intervals
@@ -115,6 +119,7 @@ def map_component(
             distances=read_only(lengths),
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
+            reach=reach,
         ),
         encounters=graph.first_encounter[sample.vertices].astype(np.int64),
         coordinates=embedding.coordinates,
@@ -127,6 +132,11 @@ def map_component(
         n_anchors=n_anchors,
         warnings=warnings,
     )
+
+
+def count_points_of_views(n_points: int, views: Views) -> int:
+    """Say how many points a map of several views gets, where one view would get ``n_points``."""
+    return max(n_points, min(_MAX_POINTS_OF_VIEWS, round(n_points * views.number)))
 
 
 def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> tuple[IntArray, int, tuple[str, ...]]:
@@ -150,28 +160,39 @@ def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> 
 
 def _compare_and_filter(
     graph: EncounterGraph, references: IntArray, recipe: Recipe, *, begin: Callable[[str], None]
-) -> tuple[Metric, BoolArray, BoolArray, FloatArray]:
-    """Make the metric, and say which vertices are good enough, which of those may be picked, and how doubtful each is [ticks]."""
+) -> tuple[Metric, BoolArray, BoolArray, FloatArray, Views]:
+    """Make the metric; say which vertices are good enough, which may be picked, how doubtful each is [ticks], and in how many views seen."""
     no_doubt = np.zeros(graph.n_vertices)
     if recipe.metric is MetricKind.ENCOUNTER:
         along_graph = EncounterMetric(graph=graph)
         begin("outliers")
         kept = _inliers(along_graph, recipe)
-        return along_graph, kept, kept, no_doubt
+        return along_graph, kept, kept, no_doubt, ONE_VIEW
     if not recipe.bracketed:
         between_profiles = profile_metric(graph, references, norm=recipe.profile_norm)
         begin("outliers")
         kept = _inliers(between_profiles, recipe)
-        return between_profiles, kept, thin_out(kept, limit=recipe.max_candidates), no_doubt
-    bracket = bracket_profiles(times_to(graph, references), references, kernels=graph.kernels)
+        return between_profiles, kept, thin_out(kept, limit=recipe.max_candidates), no_doubt, ONE_VIEW
+    times = times_to(graph, references)
+    views = _count_views(graph, references, times)
+    bracket = bracket_profiles(times, references, kernels=graph.kernels)
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
     candidates = thin_out(kept, limit=recipe.max_candidates)
     # Of fewer candidates fewer are averaged, over the same area.
-    share = recipe.smoothing_share * (candidates.sum() / kept.sum())
+    share = recipe.smoothing_share * (candidates.sum() / kept.sum()) / views.number
     profiles = bracket.middle
     profiles[candidates] = smooth_profiles(profiles[candidates], n_neighbours=round(share * graph.n_vertices), kernels=graph.kernels)
-    return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept, candidates, bracket.doubt
+    return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept, candidates, bracket.doubt, views
+
+
+def _count_views(graph: EncounterGraph, references: IntArray, times: FloatArray) -> Views:
+    """Count the views of the swarm by the landmarks among the references; ``times`` as of `times_to`."""
+    columns = np.flatnonzero(np.isin(references, graph.landmarks))
+    if not len(columns):
+        return ONE_VIEW
+    of_landmarks = references[columns]
+    return count_views(times[np.ix_(of_landmarks, columns)], graph.stands[np.searchsorted(graph.landmarks, of_landmarks)])
 
 
 def _inliers(metric: Metric, recipe: Recipe) -> BoolArray:

@@ -33,6 +33,8 @@ class EncounterGraph:
         How many encounters each vertex stands for, shape (v,).
     landmarks
         Vertices at which a landmark stood, shape (l,), ascending. Landmarks that met while standing share one.
+    stands
+        When the landmark of each that was met first stood there: begin and end [ticks since the first encounter of all], shape (l, 2).
     kernels
         What computes on it.
     """
@@ -42,6 +44,7 @@ class EncounterGraph:
     first_encounter: VertexArray
     multiplicity: VertexArray
     landmarks: IntArray
+    stands: IntArray
     kernels: Kernels
 
     @property
@@ -68,8 +71,9 @@ class Components(Sequence[EncounterGraph]):
     ``sizes`` are their encounters. Components with as many are in the order of their first encounters.
     """
 
-    def __init__(self, whole: Contraction, kernels: Kernels) -> None:
+    def __init__(self, whole: Contraction, kernels: Kernels, stands: IntArray) -> None:
         self._whole = whole
+        self._stands = stands
         self._kernels = kernels
         by_number = np.bincount(whole.component, weights=whole.multiplicity).astype(np.int64)
         # Numbers follow the first vertices, so a stable order gives ties to the earlier.
@@ -119,6 +123,7 @@ class Components(Sequence[EncounterGraph]):
             first_encounter=whole.first_encounter[is_inside],
             multiplicity=whole.multiplicity[is_inside],
             landmarks=np.flatnonzero(whole.is_landmark[is_inside]),
+            stands=self._stands[is_inside[whole.is_landmark]],
             kernels=self._kernels,
         )
 
@@ -149,7 +154,8 @@ def build_components(
     centres = (table.t_start_ns - origin) + (table.t_end_ns - origin)
     still, commanded = _static_spells(spells, origin=origin, last_ns=last_ns)
     whole = kernels.contract(centres, table.id1, table.id2, still=still, commanded=commanded, moving_time=moving_time)
-    return Components(whole, kernels)
+    rows = whole.first_encounter[whole.is_landmark]
+    return Components(whole, kernels, _find_stands(centres[rows], table.id1[rows], table.id2[rows], commanded))
 
 
 def _static_spells(spells: Sequence[ModeSpell], *, origin: int, last_ns: int) -> tuple[Stands, Stands]:
@@ -166,6 +172,20 @@ def _static_spells(spells: Sequence[ModeSpell], *, origin: int, last_ns: int) ->
             if spell.cause is Cause.COMMAND:
                 commanded[spell.node].append(interval)
     return _stands(static), _stands(commanded)
+
+
+def _find_stands(centres: IntArray, id1: IntArray, id2: IntArray, commanded: Stands) -> IntArray:
+    """Find the commanded stand that holds each of some encounters, shape (l,): begin and end [ticks], shape (l, 2); the longer of two."""
+    found = np.zeros((len(centres), 2), dtype=np.int64)
+    for row, (centre, nodes) in enumerate(zip(centres.tolist(), zip(id1.tolist(), id2.tolist(), strict=True), strict=True)):
+        for node in nodes:
+            first, last = np.searchsorted(commanded.nodes, [node, node + 1])
+            place = int(np.searchsorted(commanded.begins[first:last], centre, side="right")) + int(first) - 1
+            if place >= first and commanded.ends[place] >= centre:
+                begin, end = int(commanded.begins[place]), int(commanded.ends[place])
+                if end - begin >= found[row, 1] - found[row, 0]:
+                    found[row] = begin, end
+    return found
 
 
 def _stands(intervals_of: dict[int, list[tuple[int, int]]]) -> Stands:

@@ -16,6 +16,8 @@ _MAX_BIOBOTS = 65_536
 _MAX_GATEWAYS = 1_024
 _MAX_RADIOS = 256
 _KEPT_EVENTS = 200
+_MAX_HEARERS = 32
+"""Gateways of one biobot that are remembered."""
 
 _ValueT = TypeVar("_ValueT")
 
@@ -75,6 +77,7 @@ class Fleet:
     _gateways: dict[str, _Gateway] = field(default_factory=dict)
     _nodes: dict[NodeId, NodeStatus] = field(default_factory=dict)
     _modes: dict[NodeId, ModeRecord] = field(default_factory=dict)
+    _hearers: dict[NodeId, dict[str, None]] = field(default_factory=dict)
     _neighbours: dict[NodeId, NeighbourReport] = field(default_factory=dict)
     _n_encounters: Mapping[NodeId, int] = field(default_factory=dict)
     _shifts_ns: Mapping[str, int] = field(default_factory=dict)
@@ -102,6 +105,7 @@ class Fleet:
 
     def take_node_status(self, status: NodeStatus) -> None:
         """Note a biobot's state, unless a newer one is known."""
+        self._note_hearer(status.node, status.gateway)
         known = self._nodes.get(status.node)
         if known is None or self._heard_ns(status) >= self._heard_ns(known):
             self._put(self._nodes, status.node, status)
@@ -113,6 +117,7 @@ class Fleet:
     def take_modes(self, records: Iterable[ModeRecord]) -> None:
         """Learn of biobots from records: after a restart they are known before they speak again."""
         for record in records:
+            self._note_hearer(record.node, record.gateway)
             known = self._modes.get(record.node)
             if known is None or self._began_ns(record) >= self._began_ns(known):
                 self._put(self._modes, record.node, record)
@@ -130,6 +135,11 @@ class Fleet:
         if node in self._nodes:
             return self._nodes[node].gateway
         return self._modes[node].gateway if node in self._modes else None
+
+    def hearers_of(self, node: NodeId) -> list[str]:
+        """Name the gateways that have spoken of a biobot, the one that heard it last first."""
+        last = self.gateway_of(node)
+        return [] if last is None else list(dict.fromkeys([last, *self._hearers.get(node, {})]))
 
     def gateways(self, *, now_ns: int) -> list[GatewayView]:
         """List all gateways by name."""
@@ -212,6 +222,11 @@ class Fleet:
             self.n_ignored += 1
             return None
         return self._gateways.setdefault(name, _Gateway())
+
+    def _note_hearer(self, node: NodeId, gateway: str) -> None:
+        hearers = self._hearers.get(node, {})
+        if gateway not in hearers and len(hearers) < _MAX_HEARERS:
+            self._put(self._hearers, node, {**hearers, gateway: None})
 
     def _put(self, table: dict[NodeId, _ValueT], node: NodeId, value: _ValueT) -> None:
         if node not in table and len(table) >= _MAX_BIOBOTS:

@@ -3,6 +3,7 @@
 import argparse
 import asyncio
 import contextlib
+import gc
 import ipaddress
 import os
 import secrets
@@ -249,6 +250,8 @@ async def _announce(
     server: _Server, listener: socket.socket, manager: ServiceManager, *, serve: ServiceConfig, url_file: Path | None
 ) -> None:
     await server.is_up.wait()
+    gc.collect()
+    gc.freeze()  # what was imported is searched for cycles no more: no stop goes out meanwhile
     url = _url(listener)
     manager.tell(f"map and operator page: {url}")
     manager.ready()

@@ -171,8 +171,9 @@ class ComponentMap:
     ``n_used`` encounters were left after the outliers were dropped. ``cover_radius``: none of those that could have become points is
     further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
     where a landmark stood.
-    ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``. The loops of the true diagram are
-    within ``stability_band`` of ``intervals[1]`` (bottleneck distance) in 95 of 100 maps; None where nobody knows.
+    ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``. ``reach``: how far the swarm saw at
+    one time, which is the diameter where it did not move on; None in maps of earlier versions. The loops of the true diagram are within
+    ``stability_band`` of ``intervals[1]`` (bottleneck distance) in 95 of 100 maps; None where nobody knows.
     """
 
     n_encounters: int
@@ -186,6 +187,7 @@ class ComponentMap:
     distances: FloatArray
     intervals: tuple[FloatArray, FloatArray]
     betti_numbers: tuple[int, int]
+    reach: float | None = None
     stability_band: float | None = None
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from firmware_protocol.units import NS_PER_S
 from mapper.bottleneck import bottleneck_distance
 from mapper.confidence import Evidence
+from mapper.confidence.evidence import reach_of
 from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
 from mapper.pipeline import MIN_ENCOUNTERS, compute_evidence
@@ -69,7 +70,7 @@ class Witness:
     run
         What describes the largest component, by name; empty where there are too few encounters for a map.
     move
-        Bottleneck distance of its loops to those of exact geodesics between the same places, over the map's diameter.
+        Bottleneck distance of its loops to those of exact geodesics between the same places, over the map's reach.
     points, is_right
         What describes its points, by name, and which of them have right distances.
     """
@@ -195,7 +196,7 @@ def _is_called(result: MapResult, evidence: Evidence) -> BoolArray:
 
 def _move(evidence: Evidence, exact: FloatArray) -> float:
     loops = diagram_of(exact)[1]
-    return bottleneck_distance(evidence.part.intervals[1], loops) / (evidence.part.diameter or 1.0)
+    return bottleneck_distance(evidence.part.intervals[1], loops) / reach_of(evidence.part)
 
 
 def _true_places(result: MapResult, world: World) -> FloatArray:

@@ -11,7 +11,7 @@ from gateway.errors import RadioUnavailableError
 from gateway.nodes import NodeBook
 from gateway.radio import Fate, RadioOutcome
 from gateway.stimulation import frames
-from gateway.stimulation.admission import remaining_ms
+from gateway.stimulation.admission import remaining_ms, why_unable
 from gateway.stimulation.answers import AnswerKeeper
 from gateway.stimulation.commands import Command
 from gateway.stimulation.guards import Guards
@@ -173,7 +173,9 @@ class Stimuli:
             return Refused(refusal=Refusal.JOURNAL, reason=reason)
         if ttl_ms <= 0:
             return Refused(refusal=Refusal.STALE, reason="it expired before it could be sent; give it a longer time to live")
-        return self._why_unattended(command.request)
+        node = self._nodes.find(command.request.node)
+        unable = None if node is None else why_unable(node, command.request.action)  # its backpack may have started anew since
+        return unable or self._why_unattended(command.request)
 
     def _announced(self, command: Command) -> Limits | None:
         node = self._nodes.find(command.request.node)

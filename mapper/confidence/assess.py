@@ -12,7 +12,7 @@ from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
 from mapper.component_map import PlacedComponent
 from mapper.confidence.counting import count_holes
-from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track
+from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track, reach_of
 from mapper.confidence.model import Models, load_models
 from mapper.confidence.sufficiency import Facts, judge_data
 from mapper.outlines import outline_holes
@@ -136,7 +136,7 @@ def stability_band(models: Models, evidence: Evidence) -> float:
     """Say how far the diagram of loops is from the true one in no more than 5 of 100 maps [unit of lengths]."""
     share = float(np.exp(models.band.score(evidence.run_columns())))
     # With no point matched to any other, the bottleneck distance is half the longest interval.
-    return evidence.part.diameter * min(share, 0.5)
+    return reach_of(evidence.part) * min(share, 0.5)
 
 
 def point_probabilities(models: Models, evidence: Evidence) -> FloatArray:

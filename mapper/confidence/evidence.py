@@ -15,7 +15,7 @@ from mapper.types import ComponentMap, FloatArray
 N_LOOPS: Final = 10
 """So many of the longest loops of a component are judged, and all that are called real: what is shorter was never a hole in training."""
 
-# Of the diameter: keeps logarithms finite. About the length of the shortest loops that maps of training runs show.
+# Of the reach: keeps logarithms finite. About the length of the shortest loops that maps of training runs show.
 _TINY = 0.005
 _NOISE_QUANTILE = 0.7
 _LEAST_SHARED = 3  # landmarks: distances to fewer fix no place
@@ -52,6 +52,11 @@ RUN_FEATURES: Final = (
     "change in replicas",
 )
 POINT_FEATURES: Final = ("doubt here", "distance to all", "distance to nearest")
+
+
+def reach_of(part: ComponentMap) -> float:
+    """Return what lengths are measured by: how far the swarm saw at one time [unit of lengths]; 1 for a map of one place."""
+    return part.reach or part.diameter or 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,9 +126,9 @@ class Evidence:
         part, n = self.part, self.n_judged
         if n == 0:
             return np.zeros((0, len(LOOP_FEATURES)))
-        diameter = part.diameter or 1.0
-        births, deaths = part.intervals[1].T / diameter
-        lengths, spacing = deaths - births, part.cover_radius / diameter + _TINY
+        reach = reach_of(part)
+        births, deaths = part.intervals[1].T / reach
+        lengths, spacing = deaths - births, part.cover_radius / reach + _TINY
         following = np.append(lengths, 0.0)[1 : n + 1]
         own, rank = slice(n), np.arange(n)
         columns = [
@@ -142,7 +147,7 @@ class Evidence:
 
     def describe_run(self) -> FloatArray:
         """Describe the component as a whole, shape (RUN_FEATURES,)."""
-        part, track, diameter = self.part, self.track, self.part.diameter or 1.0
+        part, track, reach = self.part, self.track, reach_of(self.part)
         changes = [bottleneck_distance(part.intervals[1], one.part.intervals[1]) for one in self.replicas if one is not None]
         return np.array(
             [
@@ -150,24 +155,24 @@ class Evidence:
                 np.log1p(part.n_landmarks),
                 np.log(part.n_encounters),
                 np.log(part.n_points),
-                np.log(part.cover_radius / diameter + _TINY),
+                np.log(part.cover_radius / reach + _TINY),
                 part.lost_spectrum,
                 np.log1p(len(part.intervals[1])),
-                np.log(track.median_duration / diameter + _TINY),
-                np.log(float(np.median(self.doubt)) / diameter + _TINY),
+                np.log(track.median_duration / reach + _TINY),
+                np.log(float(np.median(self.doubt)) / reach + _TINY),
                 track.left_out,
-                np.log((float(np.mean(changes)) if changes else 0.5 * diameter) / diameter + _TINY),
+                np.log((float(np.mean(changes)) if changes else 0.5 * reach) / reach + _TINY),
             ]
         )
 
     def describe_points(self) -> FloatArray:
         """Describe the points, shape (n_points, POINT_FEATURES)."""
-        part, diameter = self.part, self.part.diameter or 1.0
-        shares = part.distances / diameter
+        part, reach = self.part, reach_of(self.part)
+        shares = part.distances / reach
         nearest = np.sort(shares, axis=1)[:, 1:6]
         return np.column_stack(
             [
-                np.log(self.doubt / diameter + _TINY),
+                np.log(self.doubt / reach + _TINY),
                 shares.mean(axis=1),
                 np.log((nearest.mean(axis=1) if nearest.size else np.zeros(len(shares))) + _TINY),
             ]
@@ -175,12 +180,12 @@ class Evidence:
 
     def _find_again(self, n: int) -> FloatArray:
         """Say how the n longest loops fare in the replicas, shape (n, 6): with no replica as in one without loops."""
-        diameter = self.part.diameter or 1.0
-        lengths = np.diff(self.part.intervals[1], axis=1)[:n, 0] / diameter
+        reach = reach_of(self.part)
+        lengths = np.diff(self.part.intervals[1], axis=1)[:n, 0] / reach
         found, near, called, ranked = [], [], [], []
         for one in self.replicas:
-            loops = np.zeros((0, 2)) if one is None else one.part.intervals[1] / (one.part.diameter or 1.0)
-            partners = match_loops(self.part.intervals[1][:n] / diameter, loops)
+            loops = np.zeros((0, 2)) if one is None else one.part.intervals[1] / (reach_of(one.part))
+            partners = match_loops(self.part.intervals[1][:n] / reach, loops)
             found.append(np.log((partners + _TINY) / (lengths + _TINY)))
             longest_near = np.zeros(n) if one is None else find_near(self.sighting, one, n=n)
             near.append(np.log((longest_near + _TINY) / (lengths + _TINY)))
@@ -199,19 +204,19 @@ def find_near(sighting: Sighting, other: Sighting, *, n: int) -> FloatArray:
     Returns
     -------
     FloatArray
-        Shape (n,), as a share of the other map's diameter: of every loop its length, times ``exp(-2 (x / r)^2)`` for one whose middle is x
+        Shape (n,), as a share of the other map's reach: of every loop its length, times ``exp(-2 (x / r)^2)`` for one whose middle is x
         from this one's; the greatest. r is half of the death of the loop looked for; x is the root mean square difference of their
         distances to the landmarks that both maps have. 0 with fewer than three such.
     """
     shared = sorted(set(sighting.landmarks) & set(other.landmarks))
     if len(shared) < _LEAST_SHARED or not len(other.centres):
         return np.zeros(n)
-    own_diameter, other_diameter = sighting.part.diameter or 1.0, other.part.diameter or 1.0
-    here = sighting.centres[:n][:, [sighting.landmarks.index(one) for one in shared]] / own_diameter
-    there = other.centres[:, [other.landmarks.index(one) for one in shared]] / other_diameter
+    own_reach, other_reach = reach_of(sighting.part), reach_of(other.part)
+    here = sighting.centres[:n][:, [sighting.landmarks.index(one) for one in shared]] / own_reach
+    there = other.centres[:, [other.landmarks.index(one) for one in shared]] / other_reach
     gaps = np.sqrt(((here[:, None] - there[None]) ** 2).mean(axis=2))
-    radii = sighting.part.intervals[1][:n, 1] / (2.0 * own_diameter)
-    lengths = np.diff(other.part.intervals[1], axis=1)[: len(there), 0] / other_diameter
+    radii = sighting.part.intervals[1][:n, 1] / (2.0 * own_reach)
+    lengths = np.diff(other.part.intervals[1], axis=1)[: len(there), 0] / other_reach
     return np.asarray((lengths * np.exp(-2.0 * (gaps / radii[:, None]) ** 2)).max(axis=1))
 
 

@@ -58,7 +58,7 @@ class Models:
     missed, sharpness
         Logarithm of the mean number of holes that no loop shows; and as in `count_holes`.
     band
-        Logarithm of the length, over the diameter, that the diagram is not further than from the true one in 95 % of runs.
+        Logarithm of the length, over the map's reach, that the diagram is not further than from the true one in 95 % of runs.
     point
         Odds that a point's distances are right.
     """

@@ -88,7 +88,7 @@ def test_whoever_is_steered_stops_when_the_steering_process_dies_hangs_or_leaves
                 return {int(one.node): one.command_id.partition("-")[0] for one in stops}
 
             await until(lambda: stopped_by() == {7: "dead", 8: "dead", 9: "steer"}, what="the stages are published")
-            absent = msgspec.structs.replace(a_request(7, StimulationAction.START), commander="nobody")
+            absent = msgspec.structs.replace(a_request(7, StimulationAction.START), commander="nobody", hold_ms=1_000)
             (refused,) = await command(peer, absent)
             assert refused.refusal is Refusal.NO_COMMANDER
             subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type

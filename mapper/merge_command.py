@@ -1,0 +1,91 @@
+"""``biobot-mapper merge``: several recordings, each a CSV file or the directory of a run, as one map."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from firmware_protocol.errors import ConfigurationError
+from firmware_protocol.units import NS_PER_S
+from mapper.encounter_csv import read_encounters, read_modes
+from mapper.errors import OutOfMemoryError, TooFewEncountersError
+from mapper.kernels import choose_kernels
+from mapper.pipeline import MIN_ENCOUNTERS, compute_map
+from mapper.pooling import Recording, count_shared_landmarks, pool_recordings, shift_recording
+from mapper.report import JsonObject, JsonValue
+from mapper.types import EncounterTable, MapResult, ModeSpell, Recipe
+from mapper.window import absent_biobots, stationary_spells
+
+
+def merge(args: argparse.Namespace, recipe: Recipe) -> tuple[MapResult, JsonObject]:
+    """Make the one map, and say what it was made of, for its document.
+
+    Raises
+    ------
+    ConfigurationError
+        The flags do not fit the inputs.
+    MapError
+        A file cannot be used, or there is too little to map.
+    """
+    recordings = _read_recordings(args)
+    pool = pool_recordings(recordings)
+    if len(pool.table) < MIN_ENCOUNTERS:
+        raise TooFewEncountersError(n_encounters=len(pool.table), minimum=MIN_ENCOUNTERS, where=", ".join(map(str, args.inputs)))
+    stationary = args.stationary or ()
+    absent = absent_biobots(pool.table, stationary)
+    warnings = list(pool.warnings)
+    if absent:
+        warnings.append(f"stationary biobots {', '.join(map(str, absent))} are in no encounter")
+    kernels = choose_kernels()
+    if kernels.shortfall is not None:
+        warnings.append(kernels.shortfall)
+    try:
+        result = compute_map(pool.table, (*pool.spells, *stationary_spells(pool.table, stationary)), recipe, kernels=kernels)
+    except MemoryError as error:
+        raise OutOfMemoryError(n_encounters=len(pool.table)) from error
+    inputs: list[JsonValue] = [
+        {
+            "name": recording.name,
+            "n_encounters": len(recording.table),
+            "from_s": recording.span_ns[0] / NS_PER_S,
+            "until_s": recording.span_ns[1] / NS_PER_S,
+        }
+        for recording in recordings
+    ]
+    facts: JsonObject = {
+        "merged": {"inputs": inputs, "n_repeated": pool.n_repeated, "n_shared_landmarks": count_shared_landmarks(recordings)}
+    }
+    return replace(result, warnings=(*warnings, *result.warnings)), facts
+
+
+def _read_recordings(args: argparse.Namespace) -> list[Recording]:
+    inputs: list[Path] = args.inputs
+    modes: list[Path] = args.modes
+    shifts: tuple[float, ...] = args.shift_s or (0.0,) * len(inputs)
+    files = [path for path in inputs if not path.is_dir()]
+    problems = []
+    if modes and len(modes) != len(files):
+        problems.append(
+            f"--modes is given {len(modes)} times for {len(files)} CSV files of encounters; give one for each, in the same order, "
+            "or directories with encounters.csv and modes.csv"
+        )
+    if len(shifts) != len(inputs):
+        problems.append(f"--shift-s has {len(shifts)} values for {len(inputs)} inputs; give one for each, in the same order")
+    if problems:
+        raise ConfigurationError(problems)
+    left = iter(modes)
+    recordings = []
+    for path, shift_s in zip(inputs, shifts, strict=True):
+        table, spells = _read_directory(path) if path.is_dir() else (read_encounters(path), _read_given(next(left, None)))
+        if not len(table):
+            raise TooFewEncountersError(n_encounters=0, minimum=1, where=str(path))
+        recordings.append(shift_recording(Recording(name=str(path), table=table, spells=spells), shift_ns=round(shift_s * NS_PER_S)))
+    return recordings
+
+
+def _read_directory(path: Path) -> tuple[EncounterTable, tuple[ModeSpell, ...]]:
+    modes = path / "modes.csv"
+    return read_encounters(path / "encounters.csv"), _read_given(modes if modes.exists() else None)
+
+
+def _read_given(modes: Path | None) -> tuple[ModeSpell, ...]:
+    return () if modes is None else read_modes(modes)
