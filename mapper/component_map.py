@@ -161,7 +161,7 @@ def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> 
 def _compare_and_filter(
     graph: EncounterGraph, references: IntArray, recipe: Recipe, *, begin: Callable[[str], None]
 ) -> tuple[Metric, BoolArray, BoolArray, FloatArray, Views]:
-    """Make the metric; say which vertices are good enough, which may be picked, how doubtful each is [ticks], and in how many views seen."""
+    """Make the metric; say which vertices are good enough, which may be picked, how doubtful each is, and in how many views seen."""
     no_doubt = np.zeros(graph.n_vertices)
     if recipe.metric is MetricKind.ENCOUNTER:
         along_graph = EncounterMetric(graph=graph)

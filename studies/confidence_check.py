@@ -20,10 +20,10 @@ from mapper.confidence.sufficiency import Facts, judge_data
 from mapper.types import BoolArray, FloatArray, Method, MetricKind
 from studies.cases.flags import add_flags, read_flags
 from studies.confidence_fit import area_under_roc, brier_skill, expected_calibration_error
-from studies.confidence_runs import AS_IT_IS, Witness
+from studies.confidence_runs import AS_IT_IS, KINDS, Witness
 from studies.errors import StudyError
 from studies.reliability import draw_reliability
-from studies.train_confidence import collect, other_loop_probabilities
+from studies.train_confidence import collect, number_columns, other_loop_probabilities
 from studies.trials import HELD_OUT_SEED, SETTINGS
 
 _RUNS = 1000
@@ -68,7 +68,7 @@ def tell(models: Models, witness: Witness) -> Told:
     is_called = np.array(witness.is_called, dtype=bool)
     is_told = is_called | (chance >= LEAST_PROBABILITY)
     every = np.concatenate([chance, other_loop_probabilities(models.loop, witness)])
-    count = count_holes(every, missed=float(np.exp(models.missed.score(run))), sharpness=models.sharpness)
+    count = count_holes(models.count, number_columns(witness, every))
     well_seen = models.point.probability({name: np.array(values) for name, values in witness.points.items()}) >= WELL_SEEN
     facts = Facts(
         encounters_each=2.0 * float(np.exp(run["encounters a biobot"])),
@@ -122,11 +122,11 @@ def line(name: str, chance: FloatArray, is_so: BoolArray) -> str:
 def report(told: Sequence[Told]) -> list[str]:
     """Tell of all probabilities in lines."""
     groups: list[tuple[str, list[Told]]] = [("all", list(told))]
-    groups += [("  settings " + kind, [one for one in told if one.witness.kind == kind]) for kind in (AS_IT_IS, "changed")]
+    groups += [("  settings " + kind, [one for one in told if one.witness.kind == kind]) for kind in KINDS]
     groups += [
         (f"  {name}, {kind}", [one for one in told if (one.witness.setting, one.witness.kind) == (name, kind)])
         for name in SETTINGS
-        for kind in (AS_IT_IS, "changed")
+        for kind in KINDS
     ]
     lines = [f"{'':40} {'events':>6} {'so':>7} {'told':>7} {'ECE':>8} {'skill':>8} {'AUC':>8}"]
     lines += ["each hole and possible hole is there"]

@@ -3,12 +3,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import lgamma
 
 import numpy as np
 from scipy.optimize import minimize
 
-from mapper.confidence.counting import MOST_MISSED
 from mapper.confidence.model import Model
 from mapper.types import BoolArray, FloatArray, IntArray
 
@@ -20,6 +18,7 @@ _STEPS = 100
 _SETTLED = 1e-8
 _CUT = (0.002, 0.998)  # quantiles to which numbers are cut: a map unlike all in training is taken for the one most like it
 _PRIOR_SPREAD = 1e-3
+_ROUNDED_CORNER = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,62 +81,68 @@ def foretell(columns: Columns, is_so: BoolArray, fold: IntArray, terms: Sequence
 
 
 def fit_band(columns: Columns, moves: FloatArray, fold: IntArray, terms: Sequence[Term], *, penalty: float, share: float) -> Model:
-    """Fit the length within which a share of moves stays: least squares on logarithms, and a quantile of what folds left out show beyond.
+    """Fit the length within which a share of moves stays, given what describes a run.
 
     Parameters
     ----------
     moves
         Shape (n,), above 0.
+
+    Notes
+    -----
+    Quantile regression of logarithms, its corner rounded; then the constant is set by what folds that were left out show.
     """
 
     def fit(is_in: BoolArray) -> Model:
         design = make_design({name: column[is_in] for name, column in columns.items()}, terms)
         wanted = np.log(moves[is_in])
-        centred = wanted - wanted.mean()
-        weights = np.linalg.solve(design.matrix.T @ design.matrix + penalty * np.eye(len(terms)), design.matrix.T @ centred)
-        return design.model(float(wanted.mean()), weights)
+
+        def loss(parameters: FloatArray) -> tuple[float, FloatArray]:
+            beyond = wanted - parameters[0] - design.matrix @ parameters[1:]
+            below = 1.0 / (1.0 + np.exp(np.clip(beyond / _ROUNDED_CORNER, -500.0, 500.0)))
+            slope = share - below
+            total = float(np.sum(share * beyond + _ROUNDED_CORNER * np.logaddexp(0.0, -beyond / _ROUNDED_CORNER)))
+            grown = np.concatenate([[-slope.sum()], -design.matrix.T @ slope + penalty * parameters[1:]])
+            return total + 0.5 * penalty * float(parameters[1:] @ parameters[1:]), grown
+
+        begin = np.concatenate([[float(np.quantile(wanted, share))], np.zeros(len(terms))])
+        best = minimize(loss, begin, jac=True, method="L-BFGS-B").x
+        return design.model(best[0], best[1:])
 
     beyond = np.zeros(len(moves))
     for out in np.unique(fold):
         is_out = fold == out
         beyond[is_out] = np.log(moves[is_out]) - fit(~is_out).score({name: column[is_out] for name, column in columns.items()})
     model = fit(np.ones(len(moves), dtype=bool))
-    return Model(
-        features=model.features, constant=model.constant + float(np.quantile(beyond, share, method="higher")), weights=model.weights
-    )
+    constant = model.constant + float(np.quantile(beyond, share, method="higher"))
+    return Model(features=model.features, constant=constant, weights=model.weights)
 
 
-def fit_count(
-    columns: Columns, found: Sequence[FloatArray], true_holes: IntArray, terms: Sequence[Term], *, penalty: float
-) -> tuple[Model, float]:
-    """Fit the mean number of holes that no loop shows, and the sharpness of the distribution, by the likelihood of the true numbers.
+def fit_choice(columns: Columns, run: IntArray, is_true: BoolArray, terms: Sequence[Term], *, penalty: float) -> Model:
+    """Fit scores of which the highest is to be the true one of each run, by the likelihood of choices in proportion to their exponentials.
 
     Parameters
     ----------
-    found
-        For each run the probabilities of its loops.
-    true_holes
-        Shape (runs,).
+    columns
+        What describes each number of each run, shape (n,) each.
+    run
+        Whose it is, shape (n,), ascending from 0.
+    is_true
+        Whether it is the true one, shape (n,): one of each run.
     """
     design = make_design(columns, terms)
-    most = max(*map(len, found), int(true_holes.max()))
-    shown = np.array([_spread(probabilities, size=most + 1) for probabilities in found])
-    numbers = np.arange(MOST_MISSED + 1)
-    log_factorial = np.array([lgamma(number + 1.0) for number in numbers])
+    begins = np.flatnonzero(np.diff(run, prepend=-1))
 
-    def loss(parameters: FloatArray) -> float:
-        log_mean = np.clip(parameters[0] + design.matrix @ parameters[2:], -20.0, 3.0)
-        missed = np.exp(numbers * log_mean[:, None] - np.exp(log_mean)[:, None] - log_factorial)
-        total = np.zeros((len(shown), most + MOST_MISSED + 1))
-        for number in numbers:
-            total[:, number : number + most + 1] += missed[:, number : number + 1] * shown
-        powered = np.clip(total, 1e-12, None) ** np.exp(parameters[1])
-        chance = powered[np.arange(len(shown)), true_holes] / powered.sum(axis=1)
-        return -float(np.log(chance).sum()) + 0.5 * penalty * float((parameters[2:] ** 2).sum() + parameters[1] ** 2)
+    def loss(weights: FloatArray) -> tuple[float, FloatArray]:
+        score = design.matrix @ weights
+        score -= np.maximum.reduceat(score, begins)[run]
+        chance = np.exp(score)
+        chance /= np.add.reduceat(chance, begins)[run]
+        slope = design.matrix.T @ (chance - is_true) + penalty * weights
+        return -float(np.log(chance[is_true] + 1e-300).sum()) + 0.5 * penalty * float(weights @ weights), slope
 
-    begin = np.concatenate([[-2.0, 0.0], np.zeros(len(terms))])
-    best = minimize(loss, begin, method="L-BFGS-B").x
-    return design.model(best[0], best[2:]), float(np.exp(best[1]))
+    best = minimize(loss, np.zeros(len(terms)), jac=True, method="L-BFGS-B", options={"maxiter": 1000}).x
+    return design.model(0.0, best)
 
 
 def spread_folds(seeds: IntArray, *, period: int) -> IntArray:
@@ -176,10 +181,3 @@ def _standard(column: FloatArray) -> tuple[float, float, float, float]:
     low, high = np.quantile(column, _CUT)
     cut = np.clip(column, low, high)
     return float(low), float(high), float(cut.mean()), float(cut.std()) or 1.0
-
-
-def _spread(probabilities: FloatArray, *, size: int) -> FloatArray:
-    total = np.ones(1)
-    for probability in probabilities:
-        total = np.convolve(total, [1.0 - probability, probability])
-    return np.pad(total, (0, size - len(total)))

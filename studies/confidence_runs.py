@@ -1,11 +1,12 @@
 """Runs to train and to check how sure a map says it is: of every setting of `studies.trials`, as it is and changed.
 
-Half of the runs are as the setting has it. In the others the mission is longer or much shorter, and there are fewer biobots and more or
-fewer landmarks, down to none: so that there are runs of a handful of encounters, and of many that fall apart.
+Half of the runs are as the setting has it. In a third the mission is shorter or longer, and there are fewer biobots and more or fewer
+landmarks. The others are starved: of time, of biobots and of landmarks, down to none of these, so that there are runs of a handful of
+encounters, and of many parts.
 """
 
 from dataclasses import dataclass, replace
-from math import exp, log
+from math import exp
 from typing import Final
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from firmware_protocol.units import NS_PER_S
 from mapper.bottleneck import bottleneck_distance
 from mapper.confidence import Evidence
+from mapper.confidence.assess import replica_counts
 from mapper.confidence.evidence import reach_of
 from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
@@ -26,13 +28,15 @@ from studies.trials import SETTINGS, Setting, start_run
 from studies.truth import diagram_of, obstacle_points
 
 AS_IT_IS: Final = "as it is"
-_CHANGED_SHARE = 0.5
-_TIMES = (0.02, 1.5)
+KINDS: Final = (AS_IT_IS, "changed", "starved")
+_SHARES = (0.5, 0.33, 0.17)
 _LONGEST_S = 2000.0  # of the arena's units: longer ones take too long to simulate by the thousand
 _FEWEST = 6
-_BIOBOTS = (0.25, 1.0)
-_LANDMARKS = (0.3, 2.0)
-_NO_LANDMARKS_SHARE = 0.05
+# Of what the setting has, for runs that are changed and for those that are starved.
+_TIMES = {"changed": (0.2, 2.0), "starved": (0.01, 0.2)}
+_BIOBOTS = {"changed": (0.5, 1.0), "starved": (0.1, 1.0)}
+_LANDMARKS = {"changed": (0.5, 2.0), "starved": (0.2, 1.5)}
+_NO_LANDMARKS_SHARE = {"changed": 0.0, "starved": 0.1}
 _MOST_LANDMARKS = 0.5  # of the biobots
 _TRUE_WITHIN = 0.1
 """A point is right when its distances to all others are wrong by no more than this share of the true diameter, root mean square."""
@@ -42,7 +46,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mission:
-    """A run to be made: ``kind`` says whether the setting is as it is or changed."""
+    """A run to be made: ``kind`` is one of `KINDS`."""
 
     setting: Setting
     kind: str
@@ -58,8 +62,8 @@ class Witness:
     ----------
     setting, kind, seed, n_encounters
         Which run.
-    counted, true_holes
-        Holes of the map and of the arena.
+    counted, replica_counts, true_holes
+        Holes of the map, of each of its replicas, and of the arena.
     loops, is_hole
         What describes the longest loops of the largest component, by name, and which of them are there: it goes around an obstacle that no
         longer interval goes around.
@@ -80,6 +84,7 @@ class Witness:
     seed: int
     n_encounters: int
     counted: int
+    replica_counts: tuple[int, ...]
     true_holes: int
     loops: dict[str, tuple[float, ...]]
     is_hole: tuple[bool, ...]
@@ -95,14 +100,15 @@ def draw_mission(seed: int, recipe: Recipe) -> Mission:
     """Draw a run: settings come in turn with ascending seeds; the rest follows from the seed."""
     rng = np.random.default_rng([8, seed])
     setting = SETTINGS[list(SETTINGS)[seed % len(SETTINGS)]]
-    if rng.random() >= _CHANGED_SHARE:
-        return Mission(setting=setting, kind=AS_IT_IS, seed=seed, recipe=recipe)
-    times, swarm, landmarks = (exp(rng.uniform(log(low), log(high))) for low, high in (_TIMES, _BIOBOTS, _LANDMARKS))
+    kind = KINDS[int(rng.choice(len(KINDS), p=_SHARES))]
+    if kind == AS_IT_IS:
+        return Mission(setting=setting, kind=kind, seed=seed, recipe=recipe)
+    times, swarm, landmarks = (exp(rng.uniform(*np.log(span[kind]))) for span in (_TIMES, _BIOBOTS, _LANDMARKS))
     duration_s = min(setting.duration_s * times, max(_LONGEST_S, setting.duration_s))
     biobots = max(_FEWEST, round(setting.biobots * swarm))
-    wanted = 0 if rng.random() < _NO_LANDMARKS_SHARE else max(1, round(setting.landmarks * biobots / setting.biobots * landmarks))
+    wanted = 0 if rng.random() < _NO_LANDMARKS_SHARE[kind] else max(1, round(setting.landmarks * biobots / setting.biobots * landmarks))
     changed = replace(setting, duration_s=duration_s, biobots=biobots, landmarks=min(wanted, int(_MOST_LANDMARKS * biobots)))
-    return Mission(setting=changed, kind="changed", seed=seed, recipe=recipe)
+    return Mission(setting=changed, kind=kind, seed=seed, recipe=recipe)
 
 
 def compute_witness(mission: Mission) -> Witness:
@@ -115,6 +121,7 @@ def compute_witness(mission: Mission) -> Witness:
         seed=mission.seed,
         n_encounters=len(table),
         counted=0,
+        replica_counts=(),
         true_holes=arena.betti.holes,
         loops={},
         is_hole=(),
@@ -134,6 +141,7 @@ def compute_witness(mission: Mission) -> Witness:
     return replace(
         witness,
         counted=result.betti_numbers[1],
+        replica_counts=tuple(replica_counts(gathered).tolist()),
         loops=_plain(largest.loop_columns()),
         is_hole=tuple(judge_loops(largest, places, obstacle_points(arena)).tolist()),
         is_called=tuple(_is_called(result, largest).tolist()),

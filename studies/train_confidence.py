@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from mapper.confidence.counting import COUNT_FEATURES, describe_numbers
 from mapper.confidence.evidence import LOOP_FEATURES, POINT_FEATURES, RUN_FEATURES
 from mapper.confidence.model import Model, Models
 from mapper.config import RecipeConfig, make_recipe
 from mapper.types import BoolArray, FloatArray, IntArray
 from studies.cases import Options, results_of, run_cases
 from studies.cases.flags import add_flags, read_flags
-from studies.confidence_fit import Term, choose_penalty, fit_band, fit_count, fit_logistic, foretell, spread_folds
+from studies.confidence_fit import Term, choose_penalty, fit_band, fit_choice, fit_logistic, foretell, spread_folds
 from studies.confidence_runs import WITNESSES, Witness, draw_mission
 from studies.errors import StudyError
 from studies.trials import SETTINGS
@@ -28,7 +29,7 @@ TRAINING_RUNS = 1000
 _QUICK_RUNS = 60
 _PENALTIES = (1.0, 3.0, 10.0, 30.0)
 _BAND_SHARE = 0.95
-_BAND_PENALTY, _COUNT_PENALTY = 10.0, 3.0
+_BAND_PENALTY, _COUNT_PENALTY, _POINT_PENALTY = 1.0, 10.0, 10.0
 _LEAST_MOVE = 0.002  # of the diameter: a diagram without loops does not move
 _POINTS_A_RUN = 40  # points of one map err together, so more would add little
 
@@ -45,6 +46,13 @@ LOOP_TERMS: tuple[Term, ...] = (
     *((name,) for name in (*LOOP_FEATURES, *RUN_FEATURES)),
     *((one, other) for one in _STRONG for other in _CIRCUMSTANCES),
     *((name, name) for name in _STRONG if name != "called real"),
+)
+_OF_NUMBERS = ("as counted", "more than counted", "fewer than counted", "number", "none")
+COUNT_TERMS: tuple[Term, ...] = (
+    *((name,) for name in COUNT_FEATURES),
+    *((one, other) for one in _OF_NUMBERS for other in RUN_FEATURES),
+    *((one, other) for one in ("sum of loops", "drop of chances") for other in _CIRCUMSTANCES),
+    ("more than counted", "more than counted"),
 )
 RUN_TERMS: tuple[Term, ...] = tuple((name,) for name in RUN_FEATURES)
 POINT_TERMS: tuple[Term, ...] = (
@@ -94,15 +102,27 @@ def train(witnesses: Sequence[Witness]) -> Models:
     others = [other_loop_probabilities(loop, one) for one in mapped]
     found = [np.concatenate([unseen[table.run == index], others[index]]) for index in range(len(mapped))]
     runs = run_columns(mapped)
-    missed, sharpness = fit_count(runs, found, np.array([one.true_holes for one in mapped]), RUN_TERMS, penalty=_COUNT_PENALTY)
     moves = np.array([max(one.move, _LEAST_MOVE) for one in mapped])
     return Models(
         loop=loop,
-        missed=missed,
-        sharpness=sharpness,
+        count=_fit_count(mapped, found),
         band=fit_band(runs, moves, folds, RUN_TERMS, penalty=_BAND_PENALTY, share=_BAND_SHARE),
         point=_fit_points(mapped),
     )
+
+
+def number_columns(witness: Witness, found: FloatArray) -> dict[str, FloatArray]:
+    """Describe the numbers of holes that a run may have, by the probabilities of its loops."""
+    run = {name: np.array(value) for name, value in witness.run.items()}
+    return describe_numbers(found, counted=witness.counted, replicas=np.array(witness.replica_counts), run=run)
+
+
+def _fit_count(mapped: Sequence[Witness], found: Sequence[FloatArray]) -> Model:
+    tables = [number_columns(one, chances) for one, chances in zip(mapped, found, strict=True)]
+    lengths = [len(table["number"]) for table in tables]
+    columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    is_true = np.concatenate([np.arange(length) == one.true_holes for one, length in zip(mapped, lengths, strict=True)])
+    return fit_choice(columns, np.repeat(np.arange(len(tables)), lengths), is_true, COUNT_TERMS, penalty=_COUNT_PENALTY)
 
 
 def other_loop_probabilities(model: Model, witness: Witness) -> FloatArray:
@@ -118,15 +138,14 @@ def _fit_points(mapped: Sequence[Witness]) -> Model:
         for name in (*POINT_FEATURES, *RUN_FEATURES)
     }
     is_right = np.concatenate([np.array(one.is_right, dtype=bool)[rows] for one, rows in zip(mapped, chosen, strict=True)])
-    return fit_logistic(columns, is_right, POINT_TERMS, penalty=_BAND_PENALTY)
+    return fit_logistic(columns, is_right, POINT_TERMS, penalty=_POINT_PENALTY)
 
 
 def describe(models: Models, *, trained_on: str, command: str) -> dict[str, object]:
     """Write models as a JSON object."""
     return {
         "loop": _plain(models.loop),
-        "missed": _plain(models.missed),
-        "sharpness": _rounded(models.sharpness),
+        "count": _plain(models.count),
         "band": _plain(models.band),
         "point": _plain(models.point),
         "trained_on": trained_on,

@@ -11,12 +11,12 @@ from scipy.sparse.csgraph import connected_components
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
 from mapper.component_map import PlacedComponent
-from mapper.confidence.counting import count_holes
+from mapper.confidence.counting import count_holes, describe_numbers
 from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track, reach_of
 from mapper.confidence.model import Models, load_models
 from mapper.confidence.sufficiency import Facts, judge_data
 from mapper.outlines import outline_holes
-from mapper.types import BoolArray, EncounterTable, FloatArray, Hole, HoleCount, MapResult, ModeSpell, read_only
+from mapper.types import BoolArray, EncounterTable, FloatArray, Hole, HoleCount, IntArray, MapResult, ModeSpell, read_only
 from mapper.window import select_rows
 
 MapAgain = Callable[[EncounterTable], PlacedComponent | None]
@@ -127,9 +127,16 @@ def loop_probabilities(models: Models, evidence: Evidence) -> FloatArray:
 
 
 def count_distribution(models: Models, gathered: Sequence[Evidence], loops: Sequence[FloatArray]) -> FloatArray:
-    """Say how likely there are 0, 1, 2, ... holes in all components; what no loop shows is foretold from the largest of them."""
-    missed = float(np.exp(models.missed.score(gathered[0].run_columns())))
-    return count_holes(np.concatenate(loops), missed=missed, sharpness=models.sharpness)
+    """Say how likely there are 0, 1, 2, ... holes in all components; of the run, the largest of them tells."""
+    counted = sum(one.part.betti_numbers[1] for one in gathered)
+    columns = describe_numbers(np.concatenate(loops), counted=counted, replicas=replica_counts(gathered), run=gathered[0].run_columns())
+    return count_holes(models.count, columns)
+
+
+def replica_counts(gathered: Sequence[Evidence]) -> IntArray:
+    """Say how many holes each replica shows, shape (replicates,): those of all components, none where it has no map."""
+    counts = [[0 if one is None else one.part.betti_numbers[1] for one in evidence.replicas] for evidence in gathered]
+    return np.asarray(np.array(counts, dtype=np.int64).sum(axis=0))
 
 
 def stability_band(models: Models, evidence: Evidence) -> float:

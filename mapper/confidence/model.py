@@ -55,8 +55,8 @@ class Models:
     ----------
     loop
         Odds that a loop goes around an obstacle.
-    missed, sharpness
-        Logarithm of the mean number of holes that no loop shows; and as in `count_holes`.
+    count
+        How well a number of holes fits, as `mapper.confidence.counting` takes it.
     band
         Logarithm of the length, over the map's reach, that the diagram is not further than from the true one in 95 % of runs.
     point
@@ -64,8 +64,7 @@ class Models:
     """
 
     loop: Model
-    missed: Model
-    sharpness: float
+    count: Model
     band: Model
     point: Model
     trained_on: str = ""
@@ -80,8 +79,7 @@ def load_models(method: Method, metric: MetricKind) -> Models | None:
     if entry is None:
         return None
     return Models(
-        **{name: _read_model(entry[name]) for name in ("loop", "missed", "band", "point")},
-        sharpness=float(entry["sharpness"]),
+        **{name: _read_model(entry[name]) for name in ("loop", "count", "band", "point")},
         trained_on=entry["trained_on"],
         command=entry["command"],
     )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mapper.confidence import Model, load_models
+from mapper.confidence.counting import COUNT_FEATURES
 from mapper.confidence.evidence import LOOP_FEATURES, POINT_FEATURES, RUN_FEATURES
 from mapper.types import Method, MetricKind
 
@@ -34,6 +35,6 @@ def test_shipped_models_ask_for_what_maps_tell_and_are_of_the_default_method_alo
     assert models is not None
     assert set(models.loop.features) == {*LOOP_FEATURES, *RUN_FEATURES}
     assert set(models.point.features) == {*POINT_FEATURES, *RUN_FEATURES}
-    assert set(models.missed.features) == set(models.band.features) == set(RUN_FEATURES)
-    assert 0.0 < models.sharpness <= 2.0
+    assert set(models.count.features) == {*COUNT_FEATURES, *RUN_FEATURES}
+    assert set(models.band.features) == set(RUN_FEATURES)
     assert load_models(Method.PAPER, MetricKind.ENCOUNTER) is None
