@@ -1,6 +1,7 @@
 """Everything between a command on the bus and the gate, wired together: commanders, the account of whom they move, gate, dead-man."""
 
 import asyncio
+from collections.abc import Iterator
 from typing import Self
 
 from firmware_protocol.contract.commands import StimulationRequest
@@ -15,7 +16,7 @@ from gateway.dead_man import DeadMan
 from gateway.downlink import DownlinkSender
 from gateway.health import Health
 from gateway.journal import Journal
-from gateway.journal_file import JournalReader
+from gateway.journal_file import AuditEntry, JournalReader
 from gateway.nodes import NodeBook
 from gateway.stimulation import StimulationGate
 
@@ -74,7 +75,7 @@ class Commanding:
             health=health,
             boot=journal.boot,
         )
-        dead_man.restore(reader.read_newest_audit(limit=_REMEMBERED_ROWS))
+        dead_man.restore(_remembered(reader))
         gate.listen(dead_man.hear)
         gate.listen(lambda _request, stage: bus.publish_stage(stage))
         gate.listen_to_accounts(bus.publish_account)
@@ -105,3 +106,8 @@ class Commanding:
             # Its token may be on its way still; the gate refuses what comes without one.
             await self.commanders.wait_for(request.commander, timeout_s=min(LATE_TOKEN_S, request.ttl_ms / 1000))
         await self.gate.handle(request, answer.tell, came_ns=answer.came_ns)
+
+
+def _remembered(reader: JournalReader) -> Iterator[AuditEntry]:
+    """Read the newest rows when the first is wanted: whoever takes them knows what to do where they cannot be read."""
+    yield from reader.read_newest_audit(limit=_REMEMBERED_ROWS)

@@ -94,7 +94,7 @@ def _draw_points(axes: Axes, result: MapResult, *, time_s: FloatArray) -> None:
     axes.scatter(points.x[is_full], points.y[is_full], s=14, c=edges[is_full], edgecolors="none", zorder=3)
     rest = points.x[~is_full], points.y[~is_full]
     axes.scatter(*rest, s=10, facecolors="white", edgecolors=edges[~is_full].tolist(), linewidths=0.8, zorder=3)
-    label = "time since the first encounter drawn [s]" + ("" if is_full.all() else "; hollow: badly seen")
+    label = "time since the first encounter drawn [s]" if is_full.all() else "time since the first drawn [s]; hollow: badly seen"
     axes.figure.colorbar(colours, ax=axes, label=label, shrink=0.8)
 
 

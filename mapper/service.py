@@ -140,6 +140,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         watch = ConnectionWatch(is_connected=lambda: bus.is_connected, connect=serve.connect, tls=config.tls, facts=facts)
         changes, fleet = Changes(), Fleet()
         log, accounts = CommandLog(changes=changes), StimulationAccounts()
+        log.listen(fleet.take_stage)
         intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=log, accounts=accounts)
         watermarks = Watermarks(bus=bus, records=records, name=name)
         commander = Commander(bus=bus, name=name)

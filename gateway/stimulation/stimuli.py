@@ -121,15 +121,16 @@ class Stimuli:
         """Wait for radio and biobot, each until its deadline; a frame that is not written until ``unwritten_ns`` is taken back."""
         deadline_ns = sent_ns + self._radio_timeout_ns
         outcome: RadioOutcome | None = None
+        is_withdrawn = False
         while not command.reply.done() and not command.is_final:
             now_ns = self._now_ns()
             if outcome is None and not sending.done() and now_ns >= unwritten_ns:
-                self._sender.withdraw(sending)  # where it was not written, its fate is settled by that
+                is_withdrawn = self._sender.withdraw(sending)  # where it was not written, its fate is settled by that
                 unwritten_ns = deadline_ns
             if outcome is None and sending.done():
                 outcome = sending.result()
                 if outcome.fate is Fate.NOT_SENT:
-                    await self._end_unsent(command, outcome)
+                    await self._end_unsent(command, outcome, is_withdrawn=is_withdrawn)
                     return
                 deadline_ns = self._next_deadline_ns(outcome, deadline_ns=deadline_ns, now_ns=now_ns)
                 if outcome.fate is Fate.SENT:
@@ -147,14 +148,15 @@ class Stimuli:
         answer_ns = now_ns + int(self._table.reply_timeout_s * NS_PER_S)
         return answer_ns if outcome.fate is Fate.SENT else min(deadline_ns, answer_ns)
 
-    async def _end_unsent(self, command: Command, outcome: RadioOutcome) -> None:
+    async def _end_unsent(self, command: Command, outcome: RadioOutcome, *, is_withdrawn: bool) -> None:
         self._take_back(command)
         if command.is_overtaken:
             await self._teller.refuse(command, _OVERTAKEN)
         else:
-            self._teller.tell(
-                command, Stage.FAILED, reason=f"the dongle did not send it: {outcome.reason or 'its line took nothing in time'}"
-            )
+            why = f"it was taken back: the radio's line did not take it in time (at most {UNWRITTEN_S:g} s, and its time to live)"
+            if not is_withdrawn:
+                why = f"the dongle did not send it ({outcome.reason or 'it does not say why'})"
+            self._teller.tell(command, Stage.FAILED, reason=f"{why}; see how the radio is (`biobot-gateway status`), and give it anew")
 
     def _what_is_missing(self, outcome: RadioOutcome | None) -> str:
         reply_s, radio_s = self._table.reply_timeout_s, self._radio_timeout_ns / NS_PER_S

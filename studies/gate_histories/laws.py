@@ -156,8 +156,8 @@ def _newer_stop(world: World, call: Call) -> Call | None:
 def _after_stops(world: World, node: NodeId, log: list[Actuation], moves: list[tuple[int, Call]]) -> Iterator[str]:
     """A confirmed stop did stop the insect, and no earlier command moves it after that."""
     for call in world.calls:
-        if call.request.action is not StimulationAction.STOP or call.request.node != node:
-            continue
+        if call.request.action is not StimulationAction.STOP or call.request.node != node or not call.is_new:
+            continue  # of a message that came again it is told what became of it the first time
         confirmed_ns = next((at for at, stage in call.stages if stage.stage is Stage.BIOBOT_CONFIRMED), None)
         if confirmed_ns is None:
             continue

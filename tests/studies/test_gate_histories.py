@@ -93,6 +93,21 @@ def test_a_stop_that_did_nothing_and_a_frame_after_it_are_seen() -> None:
     assert "not stopped" in {one.partition(":")[0] for one in violations(world)}
 
 
+def test_a_stop_that_comes_again_word_for_word_is_answered_and_stops_nobody_who_was_moved_since() -> None:
+    world = _world(flight_s=0.1)
+    world.wait(10_000)
+    world.order(Order(action=_STOP, node=1))
+    world.wait(3_000)
+    world.order(Order(action=_TURN, node=1))
+    world.wait(3_000)
+    again = world.repeat(1)
+    assert again is not None
+    assert again.request.action is _STOP
+    assert _kinds(world) == set()
+    assert again.last is not None
+    assert again.last.stage is Stage.BIOBOT_CONFIRMED
+
+
 def test_stages_that_are_late_missing_or_too_many_are_seen() -> None:
     world = _world(flight_s=0.1)
     _turns(world, n=4, every_ms=2_600)
