@@ -93,9 +93,10 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
     unit = result.length_unit
     recipe = result.recipe
     sure = "" if result.hole_count is None else f" ({describe_count(result.hole_count)})"
+    doubt = "" if result.data is None or result.data.is_enough else ": NOT ENOUGH DATA YET"
     lines = [
+        f"{_counted(b0, 'component')}, {_counted(b1, 'hole')}{sure}{doubt}",
         *_doubts(result.data),
-        f"{_counted(b0, 'component')}, {_counted(b1, 'hole')}{sure}",
         f"encounters     {result.n_encounters}, of which {result.n_used} used; {len(result.points)} points drawn",
         *([] if part is None else [f"part           {part}"]),
         f"method         {recipe.method}, metric {recipe.metric}",
@@ -139,11 +140,10 @@ def _named(standing: Standing, names: Mapping[int, str]) -> str:
 
 
 def _doubts(data: DataVerdict | None) -> list[str]:
-    """Say first of all that the data are not enough, why, and what would help."""
+    """Say why the data are not enough, and what would help."""
     if data is None or data.is_enough:
         return []
     return [
-        "NOT ENOUGH DATA YET",
         *(f"  because {reason}" for reason in data.reasons),
         *(f"  it would help to {remedy}" for remedy in data.remedies),
     ]
