@@ -7,16 +7,17 @@ from math import isqrt
 import numpy as np
 
 from mapper.betti import judge_intervals
-from mapper.embedding import embed_in_plane
+from mapper.embedding import embed_in_plane, turn_to_axes
 from mapper.encounter_graph import EncounterGraph
 from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, times_to
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
 from mapper.persistence import Diagram, rips_persistence
-from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
+from mapper.placement import Placement, keep_best_placed, place_in_plane, placed_profiles
+from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import subsample_maxmin
-from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, Recipe, read_only
+from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
 from mapper.views import ONE_VIEW, Views, count_views
 
 MIN_LANDMARKS = 3
@@ -28,6 +29,22 @@ _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
 # Of a map that many views were put together to: more points take long.
 _MAX_POINTS_OF_VIEWS = 1500
+# Of encounters near each other the best placed quarter may become points, but at least twice as many as there will be points (own choice).
+_BEST_SHARE = 0.25
+_CANDIDATES_PER_POINT = 2
+_LEAST_AVERAGED = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Compared:
+    """The metric, which vertices are good enough, which may be picked, in how many views seen, where they are, and how doubtful [ticks]."""
+
+    metric: Metric
+    kept: BoolArray
+    candidates: BoolArray
+    views: Views = ONE_VIEW
+    placement: Placement | None = None
+    doubt: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,6 +79,7 @@ def map_component(
     index: int,
     n_points: int,
     ticks_per_length: float,
+    contact: float,
     begin: Callable[[str], None],
 ) -> PlacedComponent:
     """Run the stages on one connected graph.
@@ -74,6 +92,8 @@ def map_component(
         Size of the subsample.
     ticks_per_length
         Ticks in one unit of length of the map.
+    contact
+        How long encounters last, their median [ticks].
     begin
         Told the name of each stage before it begins.
 
@@ -84,19 +104,25 @@ def map_component(
     """
     begin("metric")
     references, n_anchors, warnings = _choose_references(graph, recipe, index=index)
-    metric, kept, candidates, doubt, views = _compare_and_filter(graph, references, recipe, begin=begin)
+    compared = _compare_and_filter(graph, references, recipe, n_points=n_points, contact=contact, begin=begin)
     begin("subsample")
-    compared = references if isinstance(metric, ProfileMetric) and n_anchors == 0 else references[:0]
-    to_landmarks = metric.profiles if isinstance(metric, ProfileMetric) and n_anchors == 0 else np.zeros((graph.n_vertices, 0))
-    sample = subsample_maxmin(metric, candidates, n_points=count_points_of_views(n_points, views))
+    sample = subsample_maxmin(compared.metric, compared.candidates, n_points=count_points_of_views(n_points, compared.views))
+    doubt = np.zeros(len(sample.vertices)) if compared.doubt is None else compared.doubt[sample.vertices]
+    to_landmarks, landmark_encounters = np.zeros((len(sample.vertices), 0)), np.zeros(0, dtype=np.int64)
+    if isinstance(compared.metric, ProfileMetric) and n_anchors == 0:
+        to_landmarks = compared.metric.profiles[sample.vertices]
+        landmark_encounters = graph.first_encounter[references].astype(np.int64)
     begin("persistence")
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
     diameter = float(lengths.max())
-    reach = views.reach * diameter
+    reach = compared.views.reach * diameter
     real = [judge_intervals(part, rule, diameter=reach) for part, rule in zip(diagram.intervals, rules, strict=True)]
     begin("embedding")
     embedding = embed_in_plane(lengths)
+    coordinates = embedding.coordinates
+    if compared.placement is not None:
+        coordinates = turn_to_axes(compared.placement.xy[sample.vertices] / ticks_per_length)
     merges, loops = diagram.intervals
     holes = tuple(
         Hole(component=index, birth=birth, death=death, outline=outline)
@@ -109,7 +135,7 @@ def map_component(
     return PlacedComponent(
         summary=ComponentMap(
             n_encounters=graph.n_encounters,
-            n_used=int(graph.multiplicity[kept].sum()),
+            n_used=int(graph.multiplicity[compared.kept].sum()),
             n_points=len(sample.vertices),
             n_landmarks=len(graph.landmarks),
             diameter=diameter,
@@ -122,13 +148,13 @@ def map_component(
             reach=reach,
         ),
         encounters=graph.first_encounter[sample.vertices].astype(np.int64),
-        coordinates=embedding.coordinates,
+        coordinates=coordinates,
         holes=holes,
         skeleton=build_skeleton(lengths, epsilon=epsilon),
         diagram=diagram,
-        doubt=read_only(doubt[sample.vertices] / ticks_per_length),
-        to_landmarks=read_only(to_landmarks[sample.vertices] / ticks_per_length),
-        landmark_encounters=graph.first_encounter[compared].astype(np.int64),
+        doubt=read_only(doubt / ticks_per_length),
+        to_landmarks=read_only(to_landmarks / ticks_per_length),
+        landmark_encounters=landmark_encounters,
         n_anchors=n_anchors,
         warnings=warnings,
     )
@@ -159,31 +185,54 @@ def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> 
 
 
 def _compare_and_filter(
-    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, begin: Callable[[str], None]
-) -> tuple[Metric, BoolArray, BoolArray, FloatArray, Views]:
-    """Make the metric; say which vertices are good enough, which may be picked, how doubtful each is, and in how many views seen."""
-    no_doubt = np.zeros(graph.n_vertices)
+    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, n_points: int, contact: float, begin: Callable[[str], None]
+) -> _Compared:
+    """Make the metric, and say which vertices are good enough, and which of those may be picked."""
     if recipe.metric is MetricKind.ENCOUNTER:
         along_graph = EncounterMetric(graph=graph)
         begin("outliers")
         kept = _inliers(along_graph, recipe)
-        return along_graph, kept, kept, no_doubt, ONE_VIEW
+        return _Compared(metric=along_graph, kept=kept, candidates=kept)
     if not recipe.bracketed:
         between_profiles = profile_metric(graph, references, norm=recipe.profile_norm)
         begin("outliers")
         kept = _inliers(between_profiles, recipe)
-        return between_profiles, kept, thin_out(kept, limit=recipe.max_candidates), no_doubt, ONE_VIEW
+        return _Compared(metric=between_profiles, kept=kept, candidates=thin_out(kept, limit=recipe.max_candidates))
     times = times_to(graph, references)
     views = _count_views(graph, references, times)
     bracket = bracket_profiles(times, references, kernels=graph.kernels)
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
+    if recipe.placed and recipe.profile_norm is ProfileNorm.MAX and len(graph.landmarks) >= MIN_LANDMARKS:
+        return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, n_points=n_points, contact=contact)
     candidates = thin_out(kept, limit=recipe.max_candidates)
     # Of fewer candidates fewer are averaged, over the same area.
     share = recipe.smoothing_share * (candidates.sum() / kept.sum()) / views.number
     profiles = bracket.middle
     profiles[candidates] = smooth_profiles(profiles[candidates], n_neighbours=round(share * graph.n_vertices), kernels=graph.kernels)
-    return ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm), kept, candidates, bracket.doubt, views
+    metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
+    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, doubt=bracket.doubt)
+
+
+def _place_and_compare(
+    graph: EncounterGraph,
+    references: IntArray,
+    recipe: Recipe,
+    *,
+    bracket: ProfileBracket,
+    kept: BoolArray,
+    views: Views,
+    n_points: int,
+    contact: float,
+) -> _Compared:
+    placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
+    least = _CANDIDATES_PER_POINT * count_points_of_views(n_points, views)
+    best = keep_best_placed(placement, kept, doubt=bracket.doubt, least=least, share=_BEST_SHARE)
+    candidates = thin_out(best, limit=recipe.max_candidates)
+    n_averaged = max(_LEAST_AVERAGED, round(recipe.smoothing_share / views.number * placement.is_placed.sum()))
+    profiles = placed_profiles(graph, placement, candidates, references, middle=bracket.middle, n_neighbours=n_averaged)
+    metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
+    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, placement=placement, doubt=bracket.doubt)
 
 
 def _count_views(graph: EncounterGraph, references: IntArray, times: FloatArray) -> Views:

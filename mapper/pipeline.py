@@ -102,6 +102,7 @@ def _map_components(
     parts = build_components(table, spells, moving_time=recipe.moving_time, kernels=kernels)
     shares = share_points(parts.sizes, n_points=count_points(len(table), recipe))
     ticks_per_length = TICKS_PER_S / (recipe.speed_mps or 1.0)
+    contact = float(np.median(table.t_end_ns - table.t_start_ns)) * TICKS_PER_S / NS_PER_S
     placed = []
     for index, n_points in enumerate(shares):
 
@@ -109,7 +110,9 @@ def _map_components(
             report(stage, (done + _STAGES.index(stage) / (len(_STAGES) + 1)) / len(shares))
 
         placed.append(
-            map_component(parts[index], recipe, rules, index=index, n_points=n_points, ticks_per_length=ticks_per_length, begin=begin)
+            map_component(
+                parts[index], recipe, rules, index=index, n_points=n_points, ticks_per_length=ticks_per_length, contact=contact, begin=begin
+            )
         )
     warnings = [*_warn_of_span(table), *_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]
     warnings += _warn_of_anchors(placed)
@@ -121,7 +124,9 @@ def _map_components(
             return None
         part = build_components(rows, spells, moving_time=recipe.moving_time, kernels=kernels)[0]
         n_points = count_points(len(rows), recipe)
-        return map_component(part, recipe, rules, index=0, n_points=n_points, ticks_per_length=ticks_per_length, begin=lambda _stage: None)
+        return map_component(
+            part, recipe, rules, index=0, n_points=n_points, ticks_per_length=ticks_per_length, contact=contact, begin=lambda _stage: None
+        )
 
     return result, placed, map_again
 

@@ -206,6 +206,7 @@ def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
         "profile_norm": str(recipe.profile_norm),
         "moving_time": recipe.moving_time,
         "bracketed": recipe.bracketed,
+        "placed": recipe.placed,
         "smoothing_share": recipe.smoothing_share,
         "max_candidates": recipe.max_candidates,
         "outlier_k": recipe.outlier_k,

@@ -222,6 +222,7 @@ def _distances(table: EncounterTable, meetings: _Meetings, rows: IntArray, place
         targets=vertex[after].astype(np.int32),
         # What is at one instant is one place in the map; here a tick apart is as good.
         times=np.maximum(centre[after] - centre[before], 1).astype(np.float64),
+        before=np.full(len(before), -1, dtype=np.int32),  # sweeps ask for no chains
     )
     times = kernels.sweep_times(links, n_vertices=len(places) + len(rows), sources=np.arange(len(places)))
     return np.asarray(times[: len(places)])

@@ -115,12 +115,13 @@ class Recipe:
 
     ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
     those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
-    vertices around each. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are smoothed and
-    may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
-    ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
-    those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets the
-    holes found decide. ``speed_mps`` None gives lengths in seconds. So many ``replicates``, each of a part of the time, are mapped too, to
-    say how sure the map is; 0 says nothing of that.
+    vertices around each. ``placed``: they are placed in the plane along the tracks of biobots first, and those placed best become points,
+    if there are landmarks enough and the norm is the largest. Where profiles are compared, no more than ``max_candidates`` of the
+    vertices that are no outliers are smoothed and may become points, taken evenly in the order of time; 0 sets no limit. The subsample
+    has ``n_points``, or fewer where ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are
+    for dimensions 0 and 1; None takes those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a
+    share of the diameter; None lets the holes found decide. ``speed_mps`` None gives lengths in seconds. So many ``replicates``, each of a
+    part of the time, are mapped too, to say how sure the map is; 0 says nothing of that.
     """
 
     method: Method
@@ -128,6 +129,7 @@ class Recipe:
     profile_norm: ProfileNorm
     moving_time: bool
     bracketed: bool
+    placed: bool
     smoothing_share: float
     max_candidates: int
     outlier_k: int

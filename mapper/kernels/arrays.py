@@ -24,11 +24,15 @@ class Stands:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Links:
-    """Directed steps in the order of time: shape (k,) each; ``times`` [ticks], above 0. Two may join the same vertices."""
+    """Directed steps in the order of time: shape (k,) each; ``times`` [ticks], above 0. Two may join the same vertices.
+
+    ``before`` is the step before of the same biobot, whose target is this one's source; -1 where there is none.
+    """
 
     sources: VertexArray
     targets: VertexArray
     times: FloatArray
+    before: VertexArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,3 +70,15 @@ class Picks:
     chosen: IntArray
     distances: FloatArray
     cover_radius: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tension:
+    """How well links are believed when tracks are settled; lengths and times are in one unit, as speeds are 1.
+
+    ``blur``: error of a place. ``drift``: error of a link's length, as a share of its time. ``swerve``: change of velocity without a turn.
+    """
+
+    blur: float
+    drift: float
+    swerve: float

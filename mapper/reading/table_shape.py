@@ -65,11 +65,10 @@ def find_shape(path: str, data: bytes, options: ReadingOptions) -> TableShape:
             continue
         names, n_bytes, n_lines = first
         try:
-            if not _are_numbers(options, names):
-                layout = find_layout(names, options)
-                return TableShape(delimiter=delimiter, layout=layout, begin=begin + n_bytes, first_line=line + n_lines, has_header=True)
-            layout = number_layout(len(names), options.columns)
-            return TableShape(delimiter=delimiter, layout=layout, begin=begin, first_line=line, has_header=False)
+            layout = number_layout(names, options.columns) if _are_numbers(options) else find_layout(names, options)
+            if _are_numbers(options) and _begins_with_times(names, layout):
+                return TableShape(delimiter=delimiter, layout=layout, begin=begin, first_line=line, has_header=False)
+            return TableShape(delimiter=delimiter, layout=layout, begin=begin + n_bytes, first_line=line + n_lines, has_header=True)
         except UnknownColumnsError as error:
             problems.append((len(names), str(error)))
             if (layout_of_instants := _instants_without_header(data, begin, delimiter, names, options)) is not None:
@@ -151,9 +150,14 @@ def _first_record(data: bytes, begin: int, line: int, delimiter: str | None) -> 
     return record[1], end - begin, n_lines
 
 
-def _are_numbers(options: ReadingOptions, names: Sequence[str]) -> bool:
-    said = options.columns.values()
-    return bool(said) and all(column.isascii() and column.isdigit() and column not in names for column in said)
+def _are_numbers(options: ReadingOptions) -> bool:
+    return bool(options.columns) and all(column.isascii() and column.isdigit() for column in options.columns.values())
+
+
+def _begins_with_times(first: Sequence[str], layout: Layout) -> bool:
+    """Say whether the first row is one of data: its times begin with digits, or a sign."""
+    place = layout.place.get(Role.START, layout.place.get(Role.INSTANT, 0))
+    return first[place].strip()[:1] in set("0123456789+-.")
 
 
 def _instants_without_header(
@@ -177,4 +181,4 @@ def _instants_without_header(
     falls = any(one > other for one, other in pairwise(thirds))
     if not never_falls or not falls:
         return None
-    return number_layout(len(names), {Role.INSTANT: "1", Role.ID1: "2", Role.ID2: "3"})
+    return number_layout(names, {Role.INSTANT: "1", Role.ID1: "2", Role.ID2: "3"})
