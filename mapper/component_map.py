@@ -13,7 +13,7 @@ from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
 from mapper.persistence import Diagram, rips_persistence
-from mapper.placement import Placement, keep_best_placed, place_in_plane, placed_profiles
+from mapper.placement import Placement, place_in_plane, placed_profiles
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import subsample_maxmin
@@ -29,9 +29,8 @@ _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
 # Of a map that many views were put together to: more points take long.
 _MAX_POINTS_OF_VIEWS = 1500
-# Of encounters near each other the best placed quarter may become points, but at least twice as many as there will be points (own choice).
-_BEST_SHARE = 0.25
-_CANDIDATES_PER_POINT = 2
+# Of the encounters that stand behind a point beyond those it needs, the share that is averaged with it (own choice, on training runs).
+_SPREAD_SHARE = 0.5
 _LEAST_AVERAGED = 4
 
 
@@ -117,7 +116,10 @@ def map_component(
     diagram = rips_persistence(lengths)
     diameter = float(lengths.max())
     reach = compared.views.reach * diameter
-    real = [judge_intervals(part, rule, diameter=reach) for part, rule in zip(diagram.intervals, rules, strict=True)]
+    n_used = int(graph.multiplicity[compared.kept].sum())
+    # Of several views, each sees a part of the encounters.
+    n_seen = int(n_used / compared.views.number)
+    real = [judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)]
     begin("embedding")
     embedding = embed_in_plane(lengths)
     coordinates = embedding.coordinates
@@ -135,7 +137,7 @@ def map_component(
     return PlacedComponent(
         summary=ComponentMap(
             n_encounters=graph.n_encounters,
-            n_used=int(graph.multiplicity[compared.kept].sum()),
+            n_used=n_used,
             n_points=len(sample.vertices),
             n_landmarks=len(graph.landmarks),
             diameter=diameter,
@@ -209,7 +211,12 @@ def _compare_and_filter(
     # Of fewer candidates fewer are averaged, over the same area.
     share = recipe.smoothing_share * (candidates.sum() / kept.sum()) / views.number
     profiles = bracket.middle
-    profiles[candidates] = smooth_profiles(profiles[candidates], n_neighbours=round(share * graph.n_vertices), kernels=graph.kernels)
+    profiles[candidates] = smooth_profiles(
+        profiles[candidates],
+        n_neighbours=round(share * graph.n_vertices),
+        n_passes=recipe.smoothing_passes,
+        kernels=graph.kernels,
+    )
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
     return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, doubt=bracket.doubt)
 
@@ -226,11 +233,16 @@ def _place_and_compare(
     contact: float,
 ) -> _Compared:
     placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
-    least = _CANDIDATES_PER_POINT * count_points_of_views(n_points, views)
-    best = keep_best_placed(placement, kept, doubt=bracket.doubt, least=least, share=_BEST_SHARE)
-    candidates = thin_out(best, limit=recipe.max_candidates)
+    candidates = thin_out(kept & placement.is_placed, limit=recipe.max_candidates)
     n_averaged = max(_LEAST_AVERAGED, round(recipe.smoothing_share / views.number * placement.is_placed.sum()))
     profiles = placed_profiles(graph, placement, candidates, references, middle=bracket.middle, n_neighbours=n_averaged)
+    surplus = candidates.sum() / count_points_of_views(n_points, views) - recipe.encounters_per_point
+    profiles[candidates] = smooth_profiles(
+        profiles[candidates],
+        n_neighbours=max(0, round(_SPREAD_SHARE * surplus)),
+        n_passes=recipe.smoothing_passes,
+        kernels=graph.kernels,
+    )
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
     return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, placement=placement, doubt=bracket.doubt)
 

@@ -208,6 +208,7 @@ def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
         "bracketed": recipe.bracketed,
         "placed": recipe.placed,
         "smoothing_share": recipe.smoothing_share,
+        "smoothing_passes": recipe.smoothing_passes,
         "max_candidates": recipe.max_candidates,
         "outlier_k": recipe.outlier_k,
         "outlier_q": recipe.outlier_q,
@@ -223,7 +224,7 @@ def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
 
 
 def _rule(rule: BettiRule) -> JsonObject:
-    return {"rule": str(rule.kind), "q": rule.q, "delta": rule.delta, "tau": rule.tau}
+    return {"rule": str(rule.kind), "q": rule.q, "delta": rule.delta, "tau": rule.tau, "power": rule.power}
 
 
 def _counted(number: int, noun: str) -> str:

@@ -99,7 +99,8 @@ class BettiRuleKind(StrEnum):
 class BettiRule:
     """Which intervals of one dimension are real; lengths are shares of the metric's diameter.
 
-    ``QUANTILE``: ``length / (r_q + delta) > tau``. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
+    ``QUANTILE``: ``length / (r_q + delta) > tau * (1000 / n)**power`` for n encounters that are no outliers. ``RATIO``:
+    ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
     ``CONNECTED``: no finite interval is real; no number is used.
     """
 
@@ -107,6 +108,7 @@ class BettiRule:
     q: float
     delta: float
     tau: float
+    power: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,13 +117,14 @@ class Recipe:
 
     ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
     those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
-    vertices around each. ``placed``: they are placed in the plane along the tracks of biobots first, and those placed best become points,
-    if there are landmarks enough and the norm is the largest. Where profiles are compared, no more than ``max_candidates`` of the
-    vertices that are no outliers are smoothed and may become points, taken evenly in the order of time; 0 sets no limit. The subsample
-    has ``n_points``, or fewer where ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are
-    for dimensions 0 and 1; None takes those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a
-    share of the diameter; None lets the holes found decide. ``speed_mps`` None gives lengths in seconds. So many ``replicates``, each of a
-    part of the time, are mapped too, to say how sure the map is; 0 says nothing of that.
+    vertices around each, ``smoothing_passes`` times. ``placed``: they are placed in the plane along the tracks of biobots first, if there
+    are landmarks enough and the norm is the largest, and what is averaged then is what stands behind a point beyond
+    ``encounters_per_point``. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are
+    smoothed and may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
+    ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
+    those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets
+    the holes found decide. ``speed_mps`` None gives lengths in seconds. So many ``replicates``, each of a part of the time, are mapped
+    too, to say how sure the map is; 0 says nothing of that.
     """
 
     method: Method
@@ -140,6 +143,7 @@ class Recipe:
     betti_rules: tuple[BettiRule, BettiRule] | None
     epsilon_share: float | None
     speed_mps: float | None
+    smoothing_passes: int = 1
     replicates: int = 0
 
 

@@ -24,7 +24,7 @@ from simulator.arenas.geodesics import geodesic_distances
 from simulator.world import World
 from studies.cases import PackageFile, Study
 from studies.scores import winding_number
-from studies.trials import SETTINGS, Setting, start_run
+from studies.trials import SETTINGS, Setting, make_run
 from studies.truth import diagram_of, obstacle_points
 
 AS_IT_IS: Final = "as it is"
@@ -113,7 +113,7 @@ def draw_mission(seed: int, recipe: Recipe) -> Mission:
 
 def compute_witness(mission: Mission) -> Witness:
     """Simulate and map one run, and compare what it shows with the truth."""
-    run = start_run(mission.setting, mission.seed)
+    run = make_run(mission.setting, mission.seed)
     arena, table = run.arena, run.table
     witness = Witness(
         setting=mission.setting.name,
@@ -137,7 +137,7 @@ def compute_witness(mission: Mission) -> Witness:
     result, gathered = compute_evidence(table, run.spells, mission.recipe)
     largest = gathered[0]
     places = _true_places(result, run.world)
-    exact = geodesic_distances(arena, places)
+    exact = geodesic_distances(arena, places) * (mission.setting.seconds / mission.setting.metres)  # in the map's unit: seconds
     return replace(
         witness,
         counted=result.betti_numbers[1],
