@@ -80,6 +80,7 @@ def map_component(
     ticks_per_length: float,
     contact: float,
     begin: Callable[[str], None],
+    is_drawn: bool = True,
 ) -> PlacedComponent:
     """Run the stages on one connected graph.
 
@@ -95,6 +96,8 @@ def map_component(
         How long encounters last, their median [ticks].
     begin
         Told the name of each stage before it begins.
+    is_drawn
+        Draw what is only looked at: outlines of holes and the complex. Without, there are none.
 
     Raises
     ------
@@ -126,9 +129,10 @@ def map_component(
     if compared.placement is not None:
         coordinates = turn_to_axes(compared.placement.xy[sample.vertices] / ticks_per_length)
     merges, loops = diagram.intervals
+    drawn = np.flatnonzero(real[1]) if is_drawn else np.zeros(0, dtype=np.int64)
     holes = tuple(
         Hole(component=index, birth=birth, death=death, outline=outline)
-        for (birth, death), outline in zip(loops[real[1]].tolist(), outline_holes(lengths, diagram, np.flatnonzero(real[1])), strict=True)
+        for (birth, death), outline in zip(loops[drawn].tolist(), outline_holes(lengths, diagram, drawn), strict=True)
     )
     if recipe.epsilon_share is None:
         epsilon = choose_epsilon(loops[real[1]], loops[~real[1]], merges[np.isfinite(merges[:, 1]), 1])
@@ -152,7 +156,7 @@ def map_component(
         encounters=graph.first_encounter[sample.vertices].astype(np.int64),
         coordinates=coordinates,
         holes=holes,
-        skeleton=build_skeleton(lengths, epsilon=epsilon),
+        skeleton=build_skeleton(lengths, epsilon=epsilon if is_drawn else -1.0),
         diagram=diagram,
         doubt=read_only(doubt / ticks_per_length),
         to_landmarks=read_only(to_landmarks / ticks_per_length),

@@ -125,7 +125,15 @@ def _map_components(
         part = build_components(rows, spells, moving_time=recipe.moving_time, kernels=kernels)[0]
         n_points = count_points(len(rows), recipe)
         return map_component(
-            part, recipe, rules, index=0, n_points=n_points, ticks_per_length=ticks_per_length, contact=contact, begin=lambda _stage: None
+            part,
+            recipe,
+            rules,
+            index=0,
+            n_points=n_points,
+            ticks_per_length=ticks_per_length,
+            contact=contact,
+            begin=lambda _stage: None,
+            is_drawn=False,
         )
 
     return result, placed, map_again

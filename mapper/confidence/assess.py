@@ -12,7 +12,7 @@ from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
 from mapper.component_map import PlacedComponent
 from mapper.confidence.counting import count_holes, describe_numbers
-from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track, reach_of
+from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track, mean_change, reach_of
 from mapper.confidence.model import Models, load_models
 from mapper.confidence.sufficiency import Facts, judge_data
 from mapper.outlines import outline_holes
@@ -22,7 +22,7 @@ from mapper.window import select_rows
 MapAgain = Callable[[EncounterTable], PlacedComponent | None]
 """Maps the largest component of some encounters; None where they are too few."""
 
-LEAST_PROBABILITY: Final = 0.02
+LEAST_PROBABILITY: Final = 0.05
 """A loop that is not called real and is a hole with less than this is not told of."""
 WELL_SEEN: Final = 0.8
 """A point is well seen when its distances are right with this probability."""
@@ -103,10 +103,12 @@ def gather_evidence(
         track = Track(
             n_biobots=len(np.unique(np.concatenate([own.id1, own.id2]))), median_duration=duration_s * length_per_s, left_out=left_out
         )
+        seen_again = tuple(again and _sight(again[0], again[1], landmarks) for again in replicas)
         gathered.append(
             Evidence(
                 sighting=_sight(one, table, landmarks),
-                replicas=tuple(again and _sight(again[0], again[1], landmarks) for again in replicas),
+                replicas=seen_again,
+                change=mean_change(one.summary, seen_again),
                 doubt=one.doubt,
                 track=track,
             )

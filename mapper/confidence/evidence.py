@@ -3,6 +3,7 @@
 Nothing here looks at coordinates, names or clocks: scaling all times, renaming the biobots or shifting time 0 changes no number.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +19,7 @@ N_LOOPS: Final = 10
 # Of the reach: keeps logarithms finite. About the length of the shortest loops that maps of training runs show.
 _TINY = 0.005
 _NOISE_QUANTILE = 0.7
+_COMPARED = 40  # loops of a diagram: shorter ones decide nothing
 _LEAST_SHARED = 3  # landmarks: distances to fewer fix no place
 
 LOOP_FEATURES: Final = (
@@ -89,11 +91,13 @@ class Sighting:
 class Evidence:
     """One component's map, the maps of parts of its time (None where a part has no map), how doubtful each point is, and its encounters.
 
-    ``doubt`` [unit of lengths], shape (n_points,): half the gap between the bounds of a point's distances; 0 where there are no bounds.
+    ``change`` [unit of lengths]: bottleneck distance from the loops of the map to those of a replica, on average. ``doubt`` [unit of
+    lengths], shape (n_points,): half the gap between the bounds of a point's distances; 0 where there are no bounds.
     """
 
     sighting: Sighting
     replicas: tuple[Sighting | None, ...]
+    change: float
     doubt: FloatArray
     track: Track
 
@@ -148,7 +152,6 @@ class Evidence:
     def describe_run(self) -> FloatArray:
         """Describe the component as a whole, shape (RUN_FEATURES,)."""
         part, track, reach = self.part, self.track, reach_of(self.part)
-        changes = [bottleneck_distance(part.intervals[1], one.part.intervals[1]) for one in self.replicas if one is not None]
         return np.array(
             [
                 np.log(part.n_encounters / track.n_biobots),
@@ -161,7 +164,7 @@ class Evidence:
                 np.log(track.median_duration / reach + _TINY),
                 np.log(float(np.median(self.doubt)) / reach + _TINY),
                 track.left_out,
-                np.log((float(np.mean(changes)) if changes else 0.5 * reach) / reach + _TINY),
+                np.log(self.change / reach + _TINY),
             ]
         )
 
@@ -218,6 +221,13 @@ def find_near(sighting: Sighting, other: Sighting, *, n: int) -> FloatArray:
     radii = sighting.part.intervals[1][:n, 1] / (2.0 * own_reach)
     lengths = np.diff(other.part.intervals[1], axis=1)[: len(there), 0] / other_reach
     return np.asarray((lengths * np.exp(-2.0 * (gaps / radii[:, None]) ** 2)).max(axis=1))
+
+
+def mean_change(part: ComponentMap, replicas: Sequence[Sighting | None]) -> float:
+    """Average the bottleneck distances from the longest loops of a map to those of its replicas; half the reach where there are none."""
+    own = part.intervals[1][:_COMPARED]
+    changes = [bottleneck_distance(own, one.part.intervals[1][:_COMPARED]) for one in replicas if one is not None]
+    return float(np.mean(changes)) if changes else 0.5 * reach_of(part)
 
 
 def match_loops(loops: FloatArray, others: FloatArray) -> FloatArray:
