@@ -16,7 +16,7 @@ from mapper.persistence import Diagram, rips_persistence
 from mapper.placement import Placement, place_in_plane, placed_profiles
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
-from mapper.subsampling import subsample_maxmin
+from mapper.subsampling import stand_for, subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
 from mapper.views import ONE_VIEW, Views, count_views
 
@@ -125,9 +125,11 @@ def map_component(
     real = [judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)]
     begin("embedding")
     embedding = embed_in_plane(lengths)
-    coordinates = embedding.coordinates
-    if compared.placement is not None:
-        coordinates = turn_to_axes(compared.placement.xy[sample.vertices] / ticks_per_length)
+    vertices, coordinates = sample.vertices, embedding.coordinates
+    if compared.placement is not None and isinstance(compared.metric, ProfileMetric):
+        places = compared.placement
+        vertices = stand_for(sample, compared.metric, compared.candidates, doubt=places.doubt, xy=places.xy)
+        coordinates = turn_to_axes(places.xy[vertices] / ticks_per_length)
     merges, loops = diagram.intervals
     drawn = np.flatnonzero(real[1]) if is_drawn else np.zeros(0, dtype=np.int64)
     holes = tuple(
@@ -153,7 +155,7 @@ def map_component(
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
         ),
-        encounters=graph.first_encounter[sample.vertices].astype(np.int64),
+        encounters=graph.first_encounter[vertices].astype(np.int64),
         coordinates=coordinates,
         holes=holes,
         skeleton=build_skeleton(lengths, epsilon=epsilon if is_drawn else -1.0),

@@ -37,10 +37,14 @@ _BEND_PER_DISTANCE = 4.0  # a difference in bends counts as a quarter of one in 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placement:
-    """Where vertices are in the plane: ``xy`` [ticks], shape (v, 2), and ``is_placed``, shape (v,); nan where one is not."""
+    """Where vertices are in the plane.
+
+    ``xy`` [ticks], shape (v, 2), nan where ``is_placed``, shape (v,), is False; ``doubt`` [ticks], shape (v,): how badly each is known.
+    """
 
     xy: FloatArray
     is_placed: BoolArray
+    doubt: FloatArray
 
 
 def place_in_plane(graph: EncounterGraph, references: IntArray, *, middle: FloatArray, doubt: FloatArray, contact: float) -> Placement:
@@ -74,7 +78,7 @@ def place_in_plane(graph: EncounterGraph, references: IntArray, *, middle: Float
     tension = Tension(blur=blur, drift=_DRIFT, swerve=_SWERVE)
     xy = np.full((graph.n_vertices, 2), np.nan)
     xy[chosen] = graph.kernels.settle_tracks(links, start, pull, tension=tension, rounds=_ROUNDS, steps=_STEPS)
-    return Placement(xy=xy, is_placed=number >= 0)
+    return Placement(xy=xy, is_placed=number >= 0, doubt=doubt)
 
 
 def placed_profiles(
