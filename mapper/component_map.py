@@ -31,7 +31,7 @@ _LEAST_MOST = 32
 _MAX_POINTS_OF_VIEWS = 1500
 # Of the encounters that stand behind a point beyond those it needs, the share that is averaged with it (own choice, on training runs).
 _SPREAD_SHARE = 0.5
-_LEAST_AVERAGED = 4
+_LEAST_AVERAGED = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

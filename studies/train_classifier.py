@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cache", type=Path, default=Path("artifacts/trials"), help="folder of finished runs (default: %(default)s)")
     parser.add_argument("--recipe", choices=RECIPES, action="append", help="train this alone, keep the others as shipped; may be repeated")
     parser.add_argument("--quick", action="store_true", help=f"{_QUICK_RUNS} runs of each setting, to see that it works")
-    parser.add_argument("--setting", choices=list(TRAINING_RUNS), action="append", help="train on this alone; may be repeated")
+    parser.add_argument("--setting", choices=list(ZOO_RUNS), action="append", help="train on this alone; may be repeated")
     add_flags(parser)
     options = parser.parse_args(arguments)
     runs = {recipe: runs_of(recipe, settings=options.setting, quick=options.quick) for recipe in options.recipe or RECIPES}

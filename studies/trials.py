@@ -30,9 +30,10 @@ _WITHOUT_EFFECT = {"betti_rules", "epsilon_share", "speed_mps"}
 class Setting:
     """A family of runs: which arenas, how many biobots, how they walk and how they are heard.
 
-    Lengths are those of an arena of side 50, speed is 1 per second; ``metres`` and ``seconds`` are what one unit of each is in the run, whose
-    numbers are metres and seconds then. ``dead_landmarks``: so many fall silent half-way. ``stops``: insects stop by themselves, as those of
-    the preset ``hisser-field`` do. ``radio``: a radio preset by whose beacons, one a second, encounters are sensed; None: they are exact.
+    Lengths are those of an arena of side 50, speed is 1 per second; ``metres`` and ``seconds`` are what one unit of each is in the
+    run, whose numbers are metres and seconds then. ``dead_landmarks``: so many fall silent half-way. ``stops``: insects stop by
+    themselves, as those of the preset ``hisser-field`` do. ``radio``: a radio preset by whose beacons, one a second, encounters are
+    sensed; None: they are exact.
     """
 
     name: str
