@@ -8,7 +8,7 @@ from mapper.reading import ProximityLog
 from mapper.types import Assumption, MapResult, Standing
 
 # Own choices: of simulated runs (docs/your-own-data.md) unevenness is 1.0 to 2.3 and others at once 0.3 to 0.8; of people at conferences
-# 6 and 3 to 5, of calves in a pen 4.6 and 2.6.
+# 6 and 3 to 5, of calves in a pen 4.6 and 2.7.
 _MOST_UNEVENNESS = 3.0
 _MOST_AT_ONCE = 1.5
 _FEWEST_WALKING = 10  # with as many, an obstacle of 2 m in 5 m x 5 m is not found in an hour (docs/feasibility.md)

@@ -113,7 +113,7 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     from mapper.kernels import choose_kernels  # noqa: PLC0415
     from mapper.log_map import map_log  # noqa: PLC0415
     from mapper.pipeline import MIN_ENCOUNTERS  # noqa: PLC0415
-    from mapper.reading import read_ids, read_log  # noqa: PLC0415
+    from mapper.reading import read_ids, read_log, read_time  # noqa: PLC0415
     from mapper.time_limits import make_limits  # noqa: PLC0415
 
     inputs = _given(args.encounters, args.modes)
@@ -127,7 +127,7 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     if len(table) < MIN_ENCOUNTERS:
         n_outside = int(facts["n_before"] or 0) + int(facts["n_after"] or 0)
         raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=str(args.encounters), n_outside=n_outside)
-    spells = None if args.modes is None else read_modes(args.modes, number_of=log.names.number_of)
+    spells = None if args.modes is None else read_modes(args.modes, number_of=log.names.number_of, time_of=read_time)
     stationary = None if args.stationary is None else read_ids(args.stationary)
     if kernels.shortfall is not None:
         print(f"biobot-mapper: warning: {kernels.shortfall}", file=sys.stderr)

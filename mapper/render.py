@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -22,6 +23,7 @@ _TRIANGLE, _EDGE, _HOLE, _NOISE = "#56b4e9", "#999999", "#d55e00", "#0072b2"
 _MAX_DRAWN_TRIANGLES = 20_000
 # Of a loop that is not called a hole.
 _DRAWN_PROBABILITY = 0.1
+_CAPTION_NAMES, _CAPTION_NAME_LENGTH = 10, 16
 
 
 def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None = None) -> bytes:
@@ -47,14 +49,32 @@ def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None
 
     buffer = io.BytesIO()
     # Fixed ids and no date: the same map is the same file.
-    with mpl.rc_context({"svg.hashsalt": "biobot", "svg.fonttype": "none"}):
+    with mpl.rc_context({"svg.hashsalt": "biobot", "svg.fonttype": "none"}), warnings.catch_warnings():
+        # Names may be in any script: an SVG has them as they are, and a PNG boxes in place of what its font lacks.
+        warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
         figure = Figure(figsize=(11, 5.5), layout="constrained")
         FigureCanvasAgg(figure)
         map_axes, diagram_axes = figure.subplots(1, 2, width_ratios=(1.2, 1))
         _draw_map(map_axes, result, part=part)
         _draw_diagram(diagram_axes, result)
+        if caption := _caption(result):
+            figure.supxlabel(caption, fontsize=7, parse_math=False)
         figure.savefig(buffer, format=image_format, dpi=120, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()
+
+
+def _caption(result: MapResult) -> str | None:
+    """Say below the picture who stands still, and whether the count of holes can be trusted; nothing for maps that no log made."""
+    standing = result.standing
+    if standing is None:
+        return None
+    lines = []
+    if standing.nodes:
+        named = [result.node_names.get(node, str(node)) for node in standing.nodes]
+        more = f" and {len(named) - _CAPTION_NAMES} more" if len(named) > _CAPTION_NAMES else ""
+        lines.append(f"stand still ({standing.source}): {', '.join(name[:_CAPTION_NAME_LENGTH] for name in named[:_CAPTION_NAMES])}{more}")
+    lines += [one.text for one in result.assumptions if one.name == "hole_count" and one.holds is False]
+    return "\n".join(lines) or None
 
 
 def _draw_map(axes: Axes, result: MapResult, *, part: str | None) -> None:

@@ -90,7 +90,9 @@ def compute_shape(case: ShapeCase) -> Shape:
     arena = find_scenario(case.scenario).build(preset.side)
     world = World(arena, motion=preset.motion, ranges=preset.ranges, ids=range(1, preset.biobots + 1), seed=case.seed)
     explored = explore(world, landmarks=preset.landmarks, duration_s=preset.duration_s)
-    result = compute_map(explored.table, explored.spells, make_recipe(RecipeConfig(method=case.method, speed_mps=preset.motion.speed)))
+    result = compute_map(
+        explored.table, explored.spells, make_recipe(RecipeConfig(method=case.method, speed_mps=preset.motion.speed, replicates=0))
+    )
     places = true_places(world, result)
     exact = geodesic_distances(arena, places)
     part = result.components[0]

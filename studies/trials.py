@@ -23,7 +23,7 @@ from studies.exploration import DISPERSION_S, explore, tabulate
 HELD_OUT_SEED = 10_000
 
 # Of a recipe: the rule that judges a trial afterwards, and the scale at which it is drawn.
-_WITHOUT_EFFECT = {"betti_rules", "epsilon_share", "speed_mps"}
+_WITHOUT_EFFECT = {"betti_rules", "epsilon_share", "speed_mps", "replicates"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +135,7 @@ TRIALS = Study(name="trials", compute=compute_trial, result_type=Trial, key=_key
 def run_trial(setting: Setting, seed: int, recipe: Recipe) -> Trial:
     """Simulate and map one run."""
     table, spells, true_holes = simulate(setting, seed)
-    result = compute_map(table, spells, recipe)
+    result = compute_map(table, spells, replace(recipe, replicates=0))
     part = result.components[0]
     merges, loops = (intervals[np.isfinite(intervals[:, 1])] / (part.diameter or 1.0) for intervals in part.intervals)
     return Trial(

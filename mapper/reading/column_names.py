@@ -8,7 +8,7 @@ from itertools import product
 from mapper.reading.options import ReadingOptions, Role, TimeUnit
 
 # Names are compared in lower case, without what stands between words, and without a unit at the end.
-_NAMES: dict[Role, frozenset[str]] = {
+NAMES_OF_TIMES: dict[Role, frozenset[str]] = {
     Role.START: frozenset(
         [
             "start",
@@ -257,11 +257,11 @@ def _find_ids(keys: Sequence[str], names: Sequence[str], *, has_times: bool) -> 
 
 
 def _may_be_times(keys: Sequence[str]) -> bool:
-    return any(key in known for known in _NAMES.values() for key in keys)
+    return any(key in known for known in NAMES_OF_TIMES.values() for key in keys)
 
 
 def _find_times(keys: Sequence[str], names: Sequence[str]) -> dict[Role, int]:
-    found = {role: [index for index, key in enumerate(keys) if key in known] for role, known in _NAMES.items()}
+    found = {role: [index for index, key in enumerate(keys) if key in known] for role, known in NAMES_OF_TIMES.items()}
     for wanted in ((Role.START, Role.END), (Role.START, Role.DURATION), (Role.INSTANT, Role.DURATION), (Role.INSTANT,)):
         if all(found[role] for role in wanted):
             for role in wanted:

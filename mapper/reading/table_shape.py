@@ -18,6 +18,7 @@ _SAMPLED_ROWS = 1_000
 # Instants, two ids, and perhaps a word on each: as SocioPatterns publishes its contacts.
 _WIDTHS_OF_INSTANTS = (3, 5)
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?", re.ASCII)
+_LINE_END = re.compile(rb"\r\n?|\n")
 _SIGNS_OF_AN_OPEN_QUOTE = ("field limit", "end of data")
 
 Record = tuple[int, list[str]]
@@ -115,7 +116,7 @@ def _skip_comments(data: bytes) -> tuple[int, int, str | None]:
     """Return where the first line that is neither blank nor a comment begins, its number, and the last comment before it."""
     begin, line, comment = (3 if data.startswith(b"\xef\xbb\xbf") else 0), 1, None
     while begin < len(data):
-        end = data.find(b"\n", begin) + 1 or len(data)
+        end = _line_end(data, begin)
         text = data[begin:end].strip()
         if text and not text.startswith(_MARKS_OF_COMMENTS):
             break
@@ -146,8 +147,13 @@ def _first_record(data: bytes, begin: int, line: int, delimiter: str | None) -> 
     n_lines = record[0] - line + 1 + sum(field.count("\n") for field in record[1])
     end = begin
     for _ in range(n_lines):
-        end = data.find(b"\n", end) + 1 or len(data)
+        end = _line_end(data, end)
     return record[1], end - begin, n_lines
+
+
+def _line_end(data: bytes, begin: int) -> int:
+    match = _LINE_END.search(data, begin)
+    return len(data) if match is None else match.end()
 
 
 def _are_numbers(options: ReadingOptions) -> bool:

@@ -10,16 +10,17 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gateway.journal_export.rows import COLUMNS, Kind
 from gateway.journal_export.tables import write_csv, write_parquet
 from mapper.encounter_csv import read_encounters, read_modes
 from mapper.errors import InputFileError
-from mapper.reading import NodeNames, ProximityLog, ReadingOptions, Role, TimeUnit, parse_columns, read_ids, read_log
+from mapper.reading import NodeNames, ProximityLog, ReadingOptions, Role, TimeUnit, parse_columns, read_ids, read_log, read_time
+from mapper.reading.column_names import NAMES_OF_TIMES, find_layout
 from mapper.types import EncounterTable, KernelsKind
-from tests.mapper.csv_files import plain_files
+from tests.mapper.csv_files import odd_files, plain_files
 from tests.mapper.log_files import FORMS, ZERO_MS, Form, Row, contact_rows, write
 
 S = 1_000_000_000
@@ -68,6 +69,21 @@ def test_every_form_of_one_table_is_the_same_table(path: Path, form: Form, rows:
 def test_a_file_with_own_columns_is_read_as_its_own_reader_does(path: Path, text: str) -> None:
     path.write_bytes(text.encode())
     assert _rows(read_log(path).table) == _rows(read_encounters(path))
+
+
+@given(odd_files())
+@settings(max_examples=60)
+@example(b"t_start_s,t_end_s,id1,id2\r1,2,3,4\n5,6,7,8\n")
+@example(b"t_start_s,t_end_s,id1,id2\r1,2,3,4\r")
+@example(b'"t_start_s",t_end_s,id1,id2,"\n"\n1,2,3,4\n')
+@example(b"\n \n\xef\xbb\xbft_start_s,t_end_s,id1,id2\n1,2,3,4\n")
+def test_what_its_own_reader_takes_is_taken_alike(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    wanted: list[tuple[int, ...]] | None = None
+    with suppress(InputFileError):
+        wanted = _rows(read_encounters(path))
+    if wanted is not None:
+        assert _rows(read_log(path).table) == wanted
 
 
 @given(rows=contact_rows(), form=st.sampled_from(FORMS))
@@ -298,11 +314,14 @@ def test_ids_come_from_a_command_line_and_from_files(tmp_path: Path) -> None:
         read_ids((f"@{file}",))
 
 
-def test_modes_may_speak_of_names(tmp_path: Path) -> None:
+def test_modes_may_speak_of_names_and_dates(tmp_path: Path) -> None:
     path = tmp_path / "modes.csv"
-    path.write_text("t_start_s,t_end_s,id,mode,cause\n0,,north door,S,command\n0,,nobody,S,command\n")
-    (spell,) = read_modes(path, number_of=NodeNames(text_of={4: "north door"}).number_of)
-    assert spell.node == 4
+    path.write_text("t_start_s,t_end_s,id,mode,cause\n1970-01-01T00:00:05Z,7.5,north door,S,command\n0,,nobody,S,command\n")
+    (spell,) = read_modes(path, number_of=NodeNames(text_of={4: "north door"}).number_of, time_of=read_time)
+    assert (spell.node, spell.t_start_ns, spell.t_end_ns) == (4, 5 * S, 7_500_000_000)
+    path.write_text("t_start_s,t_end_s,id,mode,cause\nnoon,,north door,S,command\n")
+    with pytest.raises(InputFileError, match="line 2: t_start_s is 'noon'; wanted a finite number"):
+        read_modes(path, time_of=read_time)
 
 
 @given(st.binary(max_size=80), st.sampled_from([b"", b"t,a,b\n", b"start;end;id1;id2\n", b"\x1f\x8b", b"PAR1", b"# t,a,b\n"]))
@@ -312,3 +331,26 @@ def test_no_bytes_crash_the_reader(path: Path, noise: bytes, head: bytes) -> Non
         table = read_log(path).table
         assert (table.t_start_ns <= table.t_end_ns).all()
         assert (table.id1 < table.id2).all()
+
+
+def _listed(row: str) -> list[str]:
+    document = (Path(__file__).parents[2] / "docs" / "your-own-data.md").read_text()
+    (line,) = [line for line in document.splitlines() if line.startswith(f"| {row} |")]
+    return line.split("|")[2].strip().split(", ")
+
+
+@pytest.mark.parametrize("role", [Role.START, Role.END, Role.INSTANT, Role.DURATION])
+def test_the_names_of_times_are_those_of_the_documentation(role: Role) -> None:
+    others = {Role.START: ["end"], Role.END: ["start"], Role.DURATION: ["t"]}.get(role, [])
+    listed = _listed(role)
+    for name in listed:
+        assert find_layout([name, *others, "id1", "id2"], ReadingOptions()).place[role] == 0
+    assert {name.replace(" ", "") for name in listed} == NAMES_OF_TIMES[role]
+
+
+def test_the_words_for_nodes_are_those_of_the_documentation() -> None:
+    for word in _listed("the words"):
+        for one, other in ((f"{word}1", f"{word}_2"), (f"{word}A", f"{word} b"), (f"source_{word}", f"target_{word}")):
+            place = find_layout(["t", other, one], ReadingOptions()).place
+            assert (place[Role.ID1], place[Role.ID2]) == (2, 1)
+        assert find_layout(["t", f"{word}_id", "reader"], ReadingOptions()).is_place

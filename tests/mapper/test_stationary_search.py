@@ -105,7 +105,8 @@ def test_a_log_of_names_becomes_a_map_that_says_who_stands_and_what_is_not_known
     _write_named(log, ring)
     posts = [f"post {FIRST_LANDMARK + k}" for k in range(N_LANDMARKS)]
     common = ["run", str(log), "--columns", "id1=who,id2=whom", "--json", str(out)]
-    assert main(common) == 0
+    assert main([*common, "--svg", str(tmp_path / "map.svg")]) == 0
+    assert "stand still (found): post 1001, post 1002" in (tmp_path / "map.svg").read_text()
     told = capsys.readouterr()
     found = json.loads(out.read_text())
     assert found["stationary"]["source"] == "found"
