@@ -25,7 +25,7 @@ from studies.confidence_runs import WITNESSES, Witness, draw_mission
 from studies.errors import StudyError
 from studies.trials import SETTINGS
 
-TRAINING_RUNS = 1000
+TRAINING_RUNS = 650
 _QUICK_RUNS = 60
 _PENALTIES = (1.0, 3.0, 10.0, 30.0)
 _BAND_SHARE = 0.95
