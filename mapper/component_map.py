@@ -9,14 +9,17 @@ import numpy as np
 from mapper.betti import judge_intervals
 from mapper.embedding import embed_in_plane, turn_to_axes
 from mapper.encounter_graph import EncounterGraph
-from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, times_to
+from mapper.hole_shapes import shape_hole
+from mapper.hole_sizes import load_size_model
+from mapper.metric import EncounterMetric, Metric, ProfileMetric, distances_to, profile_metric, times_to
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
 from mapper.persistence import Diagram, rips_persistence
 from mapper.placement import Placement, place_in_plane, placed_profiles
+from mapper.placing import place_among
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
-from mapper.subsampling import stand_for, subsample_maxmin
+from mapper.subsampling import Subsample, stand_for, subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
 from mapper.views import ONE_VIEW, Views, count_views
 
@@ -50,16 +53,18 @@ class _Compared:
 class PlacedComponent:
     """A component's map before it is put beside the others; point indices count from 0 within it.
 
-    ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2). ``n_anchors`` encounters served as
+    ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2), and
+    ``others``, shape (k, 2), are the places of the further vertices asked for. ``n_anchors`` encounters served as
     references because landmarks were too few. ``doubt`` [unit of lengths], shape (m,), is half the gap between the bounds of each point's
-    distances to the references; 0 where there are no bounds. ``to_landmarks``
-    [unit of lengths], shape (m, l), says how far each point is from l places where a landmark stood, and ``landmark_encounters``, shape
-    (l,), names an encounter of each; l is 0 where fewer than three are compared with.
+    distances to the references; 0 where there are no bounds. ``to_landmarks`` [unit of lengths], shape (m, l), says how far each point is
+    from l places where a landmark stood, and ``landmark_encounters``, shape (l,), names an encounter of each; l is 0 where fewer than three
+    are compared with.
     """
 
     summary: ComponentMap
     encounters: IntArray
     coordinates: FloatArray
+    others: FloatArray
     holes: tuple[Hole, ...]
     skeleton: Skeleton
     diagram: Diagram
@@ -77,6 +82,7 @@ def map_component(
     *,
     index: int,
     n_points: int,
+    others: IntArray,
     ticks_per_length: float,
     contact: float,
     begin: Callable[[str], None],
@@ -90,6 +96,8 @@ def map_component(
         Which component this is, for its holes and warnings.
     n_points
         Size of the subsample.
+    others
+        Vertices to be placed besides, shape (k,); they change nothing else.
     ticks_per_length
         Ticks in one unit of length of the map.
     contact
@@ -132,8 +140,15 @@ def map_component(
         coordinates = turn_to_axes(places.xy[vertices] / ticks_per_length)
     merges, loops = diagram.intervals
     drawn = np.flatnonzero(real[1]) if is_drawn else np.zeros(0, dtype=np.int64)
+    size_model = load_size_model(recipe.method, recipe.metric)
     holes = tuple(
-        Hole(component=index, birth=birth, death=death, outline=outline)
+        shape_hole(
+            Hole(component=index, birth=birth, death=death, outline=outline),
+            coordinates,
+            lengths,
+            n_used=n_used,
+            model=size_model,
+        )
         for (birth, death), outline in zip(loops[drawn].tolist(), outline_holes(lengths, diagram, drawn), strict=True)
     )
     if recipe.epsilon_share is None:
@@ -157,6 +172,7 @@ def map_component(
         ),
         encounters=graph.first_encounter[vertices].astype(np.int64),
         coordinates=coordinates,
+        others=_place_others(compared, others, sample, vertices, coordinates, ticks_per_length=ticks_per_length),
         holes=holes,
         skeleton=build_skeleton(lengths, epsilon=epsilon if is_drawn else -1.0),
         diagram=diagram,
@@ -166,6 +182,23 @@ def map_component(
         n_anchors=n_anchors,
         warnings=warnings,
     )
+
+
+def _place_others(
+    compared: _Compared, others: IntArray, sample: Subsample, vertices: IntArray, coordinates: FloatArray, *, ticks_per_length: float
+) -> FloatArray:
+    """Place further vertices in the same picture, shape (k, 2): where tracks were settled, or else among the points; nan where neither is.
+
+    ``vertices`` stand for the subsample and are at ``coordinates``, shape (m, 2).
+    """
+    if compared.placement is None:
+        to_points = distances_to(compared.metric, others, sample.vertices) / ticks_per_length
+        return place_among(to_points, sample.distances / ticks_per_length, coordinates)
+    # The picture is turned, moved and perhaps mirrored, and nothing else.
+    xy = compared.placement.xy / ticks_per_length
+    middle = xy[vertices].mean(axis=0)
+    linear = np.linalg.pinv(xy[vertices] - middle) @ coordinates
+    return np.asarray(coordinates.mean(axis=0) + (xy[others] - middle) @ linear)
 
 
 def count_points_of_views(n_points: int, views: Views) -> int:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 
 from mapper.confidence import describe_count, sure_text
+from mapper.record_columns import to_unsigned
 from mapper.types import (
     BettiRule,
     ComponentMap,
@@ -11,6 +12,7 @@ from mapper.types import (
     FloatArray,
     Hole,
     HoleCount,
+    Landmark,
     MapResult,
     Recipe,
     Standing,
@@ -35,12 +37,14 @@ def to_json_object(result: MapResult) -> JsonObject:
     JsonObject
         ``betti_numbers`` [b0, b1]; ``intervals`` of all components by dimension, death null where it never comes; ``points`` with map
         coordinates, time [s], biobots and ``is_well_seen``; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth,
-        death, component and ``probability``, and ``possible_holes`` of the same form; ``hole_count`` (value, its probability, and that of
-        each number); ``data`` (is_enough, reasons, remedies); ``complex`` (edges and triangles as indices of points); ``components`` (those
-        mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``, ``n_used``,
-        ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source, reason; null but for a file)
-        and ``assumptions`` (name, holds, text). Ids are numbers, or the names that the log has for them. What tells how sure the map is is
-        null where nobody knows.
+        death, component and ``probability``; of each also ``outline_xy``, the polygon of what stands in it (closed, counter-clockwise),
+        ``centre`` inside it, ``area``, ``perimeter`` and their standard errors, null where they are not known; ``possible_holes`` of the
+        same form; ``hole_count`` (value, its probability, and that of each number); ``data`` (is_enough, reasons, remedies);
+        ``landmarks`` with their places and times; ``complex`` (edges and triangles as indices of points, lengths of edges);
+        ``components`` (those mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``,
+        ``n_used``, ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source,
+        reason; null but for a file) and ``assumptions`` (name, holds, text). Ids are numbers, or the names that the log has for them.
+        What tells how sure the map is is null where nobody knows.
     """
     points = result.points
     names = result.node_names
@@ -73,7 +77,12 @@ def to_json_object(result: MapResult) -> JsonObject:
         "possible_holes": [_hole(hole, xy) for hole in result.possible_holes],
         "hole_count": _hole_count(result.hole_count),
         "data": _verdict(result.data),
-        "complex": {"edges": result.edges.tolist(), "triangles": result.triangles.tolist()},
+        "landmarks": [_landmark(landmark, name(to_unsigned(landmark.node))) for landmark in result.landmarks],
+        "complex": {
+            "edges": result.edges.tolist(),
+            "triangles": result.triangles.tolist(),
+            "edge_lengths": [float(f"{length:.6g}") for length in result.edge_lengths.tolist()],
+        },
         "components": [_component(part, index) for index, part in enumerate(result.components)],
         "n_components": result.n_components,
         "diameter": result.diameter,
@@ -105,6 +114,7 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
     ]
     lines += [
         f"hole {number:<9} {_sure(hole)}birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}"
+        f"{_size(hole, unit)}"
         for number, hole in enumerate(result.holes, start=1)
     ]
     lines += [
@@ -161,6 +171,7 @@ def _hole(hole: Hole, xy: Sequence[list[float]]) -> JsonObject:
         "death": hole.death,
         "component": hole.component,
         "probability": hole.probability,
+        **_shape(hole),
     }
 
 
@@ -192,6 +203,36 @@ def _component(part: ComponentMap, index: int) -> JsonObject:
         "lost_spectrum": part.lost_spectrum,
         "stability_band": part.stability_band,
     }
+
+
+def _shape(hole: Hole) -> JsonObject:
+    ring = hole.outline_xy.tolist()
+    return {
+        "outline_xy": [*ring, *ring[:1]],
+        "centre": None if hole.centre is None else hole.centre.tolist(),
+        "area": hole.area,
+        "area_error": hole.area_error,
+        "perimeter": hole.perimeter,
+        "perimeter_error": hole.perimeter_error,
+    }
+
+
+def _landmark(landmark: Landmark, name: int | str) -> JsonObject:
+    end_ns = landmark.t_end_ns
+    return {
+        "id": name,
+        "x": landmark.x,
+        "y": landmark.y,
+        "component": landmark.component,
+        "t_start": landmark.t_start_ns / _NS_PER_S,
+        "t_end": None if end_ns is None else end_ns / _NS_PER_S,
+    }
+
+
+def _size(hole: Hole, unit: str) -> str:
+    perimeter = "" if hole.perimeter is None else f", perimeter {hole.perimeter:.3g} +- {hole.perimeter_error:.2g} {unit}"
+    area = "" if hole.area is None else f", area {hole.area:.3g} +- {hole.area_error:.2g} {unit}^2"
+    return perimeter + area
 
 
 def _intervals(intervals: FloatArray) -> list[JsonValue]:

@@ -202,14 +202,23 @@ class ComponentMap:
 class Hole:
     """A hole called real, or one that may be there.
 
-    ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,). ``probability``: that it goes
-    around an obstacle one can walk around, and no longer interval goes around the same; None where nobody knows.
+    ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,). ``outline_xy`` is the polygon of
+    what stands in it, as `mapper.hole_shapes` draws it: shape (k, 2), not closed, counter-clockwise; (0, 2) where there is none.
+    ``centre``, shape (2,), is inside it. ``area`` [unit^2] and ``perimeter`` [unit] are those of the obstacle, with their standard errors;
+    None where nothing is known of them. ``probability``: that it goes around an obstacle one can walk around, and no longer interval goes
+    around the same; None where nobody knows.
     """
 
     component: int
     birth: float
     death: float
     outline: IntArray
+    outline_xy: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    centre: FloatArray | None = None
+    area: float | None = None
+    area_error: float | None = None
+    perimeter: float | None = None
+    perimeter_error: float | None = None
     probability: float | None = None
 
 
@@ -231,6 +240,18 @@ class DataVerdict:
     remedies: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Landmark:
+    """Where a biobot stood by command from ``t_start_ns`` to ``t_end_ns`` (None: it still does), in map coordinates [unit of the map]."""
+
+    node: NodeId
+    t_start_ns: int
+    t_end_ns: int | None
+    x: float
+    y: float
+    component: int
+
+
 class StandingSource(StrEnum):
     """Who said which nodes stand still: a person, their modes, the name of their column, the encounters; or nobody."""
 
@@ -250,6 +271,10 @@ class Standing:
     reason: str
 
 
+KNOWN_PLACES = "known_places"
+"""Name of the assumption that places are known, which pins make true."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Assumption:
     """Something that a map rests on: whether it holds, None where that cannot be seen, and what follows, for a person."""
@@ -266,8 +291,10 @@ class MapResult:
     ``components`` are those that were mapped, the largest first; ``n_components`` counts all there are. ``edges`` (e, 2) and ``triangles``
     (t, 3) are indices of points: the Rips complex of each component at its ``epsilon``. ``diameter`` is the largest of
     any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m". ``node_names`` are what the log calls its nodes, empty where
-    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``possible_holes`` are loops that are not called real and may
-    be holes all the same, the likeliest first. ``hole_count`` and ``data`` are None where nobody knows how sure the map is.
+    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``edge_lengths``, shape (e,), are the map's distances along
+    ``edges``; none where a map does not tell them. ``landmarks`` are places where somebody stood by command and met somebody. ``others``
+    are encounters that were asked for and are no points of the map. ``possible_holes`` are loops that are not called real and may be holes
+    all the same, the likeliest first. ``hole_count`` and ``data`` are None where nobody knows how sure the map is.
     """
 
     betti_numbers: tuple[int, int]
@@ -287,6 +314,9 @@ class MapResult:
     node_names: Mapping[int, str] = field(default_factory=dict)
     standing: Standing | None = None
     assumptions: tuple[Assumption, ...] = ()
+    edge_lengths: FloatArray = field(default_factory=lambda: np.zeros(0))
+    landmarks: tuple[Landmark, ...] = ()
+    others: Points | None = None
     hole_count: HoleCount | None = None
     possible_holes: tuple[Hole, ...] = ()
     data: DataVerdict | None = None
