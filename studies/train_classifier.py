@@ -34,12 +34,12 @@ _SLACK = 1.5  # in dimension 0, where no finite interval is real, over the large
 
 # Runs of each setting; seeds count from 0. `studies.hole_count` judges on seeds from 10,000.
 TRAINING_RUNS = {"squares/paper-units": 200, "squares/paper-50cm": 80, "big-square/hisser-field": 80, "shapes/long": 90}
-# The default recipe is trained on the whole zoo; the others, kept for comparison, cannot count most of it.
+# The default recipe is trained on the whole zoo, but for `squares/few`, whose few encounters do not show holes of that size: a rule that
+# learned from it would guess. The others, kept for comparison, cannot count most of it.
 ZOO_RUNS = TRAINING_RUNS | {
     "small-squares/paper-50cm": 60,
     "obstacles/long": 60,
     "squares/short": 60,
-    "squares/few": 60,
     "squares/crowd": 32,
     "squares/dead-landmarks": 60,
     "big-square/hisser-stops": 80,
