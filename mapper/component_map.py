@@ -18,6 +18,7 @@ from mapper.persistence import Diagram, rips_persistence
 from mapper.placement import Placement, place_in_plane, placed_profiles
 from mapper.placing import place_among
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
+from mapper.scale import estimate_scale, gather_evidence, load_scale_law
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import Subsample, stand_for, subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
@@ -122,6 +123,11 @@ def map_component(
     if isinstance(compared.metric, ProfileMetric) and n_anchors == 0:
         to_landmarks = compared.metric.profiles[sample.vertices]
         landmark_encounters = graph.first_encounter[references].astype(np.int64)
+    scale = None
+    if compared.placement is not None:
+        evidence = gather_evidence(graph, compared.placement, contact=contact, n_views=compared.views.number)
+        scale = estimate_scale(evidence, load_scale_law())
+        ticks_per_length /= scale.factor
     begin("persistence")
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
@@ -169,6 +175,7 @@ def map_component(
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
+            scale=scale,
         ),
         encounters=graph.first_encounter[vertices].astype(np.int64),
         coordinates=coordinates,

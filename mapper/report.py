@@ -201,6 +201,7 @@ def _component(part: ComponentMap, index: int) -> JsonObject:
         "cover_radius": part.cover_radius,
         "epsilon": part.epsilon,
         "lost_spectrum": part.lost_spectrum,
+        "scale": None if part.scale is None else {"factor": part.scale.factor, "error": part.scale.error},
         "stability_band": part.stability_band,
     }
 

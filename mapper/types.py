@@ -170,6 +170,31 @@ class Points:
         return len(self.x)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What a component says of its scale.
+
+    ``straightness``: sum of squared lengths of links in the plane over that of their squared times, of the longer half of the links.
+    ``n_encounters``: of one view of the swarm. ``disc_share``: time spent at landmarks over the time walked.
+    """
+
+    straightness: float
+    n_encounters: float
+    disc_share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scale:
+    """By what a component's lengths were multiplied, so that they are distances and not walks.
+
+    ``error`` is the relative error of ``factor``, which follows from ``evidence``: two thirds of simulated runs were nearer.
+    """
+
+    factor: float
+    error: float
+    evidence: Evidence
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ComponentMap:
     """One connected component of the encounter graph, mapped. Lengths are in the unit of the map.
@@ -179,8 +204,9 @@ class ComponentMap:
     further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
     where a landmark stood.
     ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``. ``reach``: how far the swarm saw at
-    one time, which is the diameter where it did not move on; None in maps of earlier versions. The loops of the true diagram are within
-    ``stability_band`` of ``intervals[1]`` (bottleneck distance) in 95 of 100 maps; None where nobody knows.
+    one time, which is the diameter where it did not move on; None in maps of earlier versions. ``scale``: None where lengths are times
+    walked, times the speed. The loops of the true diagram are within ``stability_band`` of ``intervals[1]`` (bottleneck distance) in 95 of
+    100 maps; None where nobody knows.
     """
 
     n_encounters: int
@@ -195,6 +221,7 @@ class ComponentMap:
     intervals: tuple[FloatArray, FloatArray]
     betti_numbers: tuple[int, int]
     reach: float | None = None
+    scale: Scale | None = None
     stability_band: float | None = None
 
 

@@ -100,9 +100,8 @@ def gather_evidence(
         replicas = [
             (again, part) if (again := map_again(part)) is not None else None for part in cut_time(own, replicates=result.recipe.replicates)
         ]
-        track = Track(
-            n_biobots=len(np.unique(np.concatenate([own.id1, own.id2]))), median_duration=duration_s * length_per_s, left_out=left_out
-        )
+        factor = length_per_s if one.summary.scale is None else length_per_s * one.summary.scale.factor
+        track = Track(n_biobots=len(np.unique(np.concatenate([own.id1, own.id2]))), median_duration=duration_s * factor, left_out=left_out)
         seen_again = tuple(again and _sight(again[0], again[1], landmarks) for again in replicas)
         gathered.append(
             Evidence(

@@ -91,7 +91,7 @@ class Sighting:
 class Evidence:
     """One component's map, the maps of parts of its time (None where a part has no map), how doubtful each point is, and its encounters.
 
-    ``change`` [unit of lengths]: bottleneck distance from the loops of the map to those of a replica, on average. ``doubt`` [unit of
+    ``change``: bottleneck distance from the loops of the map to those of a replica, each over its reach, on average. ``doubt`` [unit of
     lengths], shape (n_points,): half the gap between the bounds of a point's distances; 0 where there are no bounds.
     """
 
@@ -164,7 +164,7 @@ class Evidence:
                 np.log(track.median_duration / reach + _TINY),
                 np.log(float(np.median(self.doubt)) / reach + _TINY),
                 track.left_out,
-                np.log(self.change / reach + _TINY),
+                np.log(self.change + _TINY),
             ]
         )
 
@@ -224,10 +224,10 @@ def find_near(sighting: Sighting, other: Sighting, *, n: int) -> FloatArray:
 
 
 def mean_change(part: ComponentMap, replicas: Sequence[Sighting | None]) -> float:
-    """Average the bottleneck distances from the longest loops of a map to those of its replicas; half the reach where there are none."""
-    own = part.intervals[1][:_COMPARED]
-    changes = [bottleneck_distance(own, one.part.intervals[1][:_COMPARED]) for one in replicas if one is not None]
-    return float(np.mean(changes)) if changes else 0.5 * reach_of(part)
+    """Average the bottleneck distances from the longest loops of a map to those of its replicas, over the reach; half without any."""
+    own = part.intervals[1][:_COMPARED] / reach_of(part)
+    changes = [bottleneck_distance(own, one.part.intervals[1][:_COMPARED] / reach_of(one.part)) for one in replicas if one is not None]
+    return float(np.mean(changes)) if changes else 0.5
 
 
 def match_loops(loops: FloatArray, others: FloatArray) -> FloatArray:
