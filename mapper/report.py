@@ -40,7 +40,7 @@ def to_json_object(result: MapResult) -> JsonObject:
         death, component and ``probability``; of each also ``outline_xy``, the polygon of what stands in it (closed, counter-clockwise),
         ``centre`` inside it, ``area``, ``perimeter`` and their standard errors, null where they are not known; ``possible_holes`` of the
         same form; ``hole_count`` (value, its probability, and that of each number); ``data`` (is_enough, reasons, remedies);
-        ``landmarks`` with their places and times; ``complex`` (edges and triangles as indices of points, lengths of edges);
+        ``landmarks`` with their places and times; ``complex`` (edges and triangles as indices of points);
         ``components`` (those mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``,
         ``n_used``, ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source,
         reason; null but for a file) and ``assumptions`` (name, holds, text). Ids are numbers, or the names that the log has for them.
@@ -78,11 +78,7 @@ def to_json_object(result: MapResult) -> JsonObject:
         "hole_count": _hole_count(result.hole_count),
         "data": _verdict(result.data),
         "landmarks": [_landmark(landmark, name(to_unsigned(landmark.node))) for landmark in result.landmarks],
-        "complex": {
-            "edges": result.edges.tolist(),
-            "triangles": result.triangles.tolist(),
-            "edge_lengths": [float(f"{length:.6g}") for length in result.edge_lengths.tolist()],
-        },
+        "complex": {"edges": result.edges.tolist(), "triangles": result.triangles.tolist()},
         "components": [_component(part, index) for index, part in enumerate(result.components)],
         "n_components": result.n_components,
         "diameter": result.diameter,

@@ -318,10 +318,10 @@ class MapResult:
     ``components`` are those that were mapped, the largest first; ``n_components`` counts all there are. ``edges`` (e, 2) and ``triangles``
     (t, 3) are indices of points: the Rips complex of each component at its ``epsilon``. ``diameter`` is the largest of
     any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m". ``node_names`` are what the log calls its nodes, empty where
-    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``edge_lengths``, shape (e,), are the map's distances along
-    ``edges``; none where a map does not tell them. ``landmarks`` are places where somebody stood by command and met somebody. ``others``
-    are encounters that were asked for and are no points of the map. ``possible_holes`` are loops that are not called real and may be holes
-    all the same, the likeliest first. ``hole_count`` and ``data`` are None where nobody knows how sure the map is.
+    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``landmarks`` are places where somebody stood by command and
+    met somebody. ``others`` are encounters that were asked for and are no points of the map. ``possible_holes`` are loops that are not
+    called real and may be holes all the same, the likeliest first. ``hole_count`` and ``data`` are None where nobody knows how sure the map
+    is.
     """
 
     betti_numbers: tuple[int, int]
@@ -341,7 +341,6 @@ class MapResult:
     node_names: Mapping[int, str] = field(default_factory=dict)
     standing: Standing | None = None
     assumptions: tuple[Assumption, ...] = ()
-    edge_lengths: FloatArray = field(default_factory=lambda: np.zeros(0))
     landmarks: tuple[Landmark, ...] = ()
     others: Points | None = None
     hole_count: HoleCount | None = None
