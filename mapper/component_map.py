@@ -9,14 +9,18 @@ import numpy as np
 from mapper.betti import judge_intervals
 from mapper.embedding import embed_in_plane, turn_to_axes
 from mapper.encounter_graph import EncounterGraph
-from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, times_to
+from mapper.hole_shapes import shape_hole
+from mapper.hole_sizes import load_size_model
+from mapper.metric import EncounterMetric, Metric, ProfileMetric, distances_to, profile_metric, times_to
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
-from mapper.persistence import rips_persistence
-from mapper.placement import Placement, keep_best_placed, place_in_plane, placed_profiles
+from mapper.persistence import Diagram, rips_persistence
+from mapper.placement import Placement, place_in_plane, placed_profiles
+from mapper.placing import place_among
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
+from mapper.scale import estimate_scale, gather_evidence, load_scale_law
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
-from mapper.subsampling import subsample_maxmin
+from mapper.subsampling import Subsample, stand_for, subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
 from mapper.views import ONE_VIEW, Views, count_views
 
@@ -29,36 +33,45 @@ _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
 # Of a map that many views were put together to: more points take long.
 _MAX_POINTS_OF_VIEWS = 1500
-# Of encounters near each other the best placed quarter may become points, but at least twice as many as there will be points (own choice).
-_BEST_SHARE = 0.25
-_CANDIDATES_PER_POINT = 2
-_LEAST_AVERAGED = 4
+# Of the encounters that stand behind a point beyond those it needs, the share that is averaged with it (own choice, on training runs).
+_SPREAD_SHARE = 0.5
+_LEAST_AVERAGED = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Compared:
-    """The metric, which vertices were good enough, which of those may be picked, in how many views they were seen, and where they are."""
+    """The metric, which vertices are good enough, which may be picked, in how many views seen, where they are, and how doubtful [ticks]."""
 
     metric: Metric
     kept: BoolArray
     candidates: BoolArray
     views: Views = ONE_VIEW
     placement: Placement | None = None
+    doubt: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacedComponent:
     """A component's map before it is put beside the others; point indices count from 0 within it.
 
-    ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2). ``n_anchors`` encounters served as
-    references because landmarks were too few.
+    ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2), and
+    ``others``, shape (k, 2), are the places of the further vertices asked for. ``n_anchors`` encounters served as
+    references because landmarks were too few. ``doubt`` [unit of lengths], shape (m,), is half the gap between the bounds of each point's
+    distances to the references; 0 where there are no bounds. ``to_landmarks`` [unit of lengths], shape (m, l), says how far each point is
+    from l places where a landmark stood, and ``landmark_encounters``, shape (l,), names an encounter of each; l is 0 where fewer than three
+    are compared with.
     """
 
     summary: ComponentMap
     encounters: IntArray
     coordinates: FloatArray
+    others: FloatArray
     holes: tuple[Hole, ...]
     skeleton: Skeleton
+    diagram: Diagram
+    doubt: FloatArray
+    to_landmarks: FloatArray
+    landmark_encounters: IntArray
     n_anchors: int
     warnings: tuple[str, ...]
 
@@ -70,9 +83,11 @@ def map_component(
     *,
     index: int,
     n_points: int,
+    others: IntArray,
     ticks_per_length: float,
     contact: float,
     begin: Callable[[str], None],
+    is_drawn: bool = True,
 ) -> PlacedComponent:
     """Run the stages on one connected graph.
 
@@ -82,12 +97,16 @@ def map_component(
         Which component this is, for its holes and warnings.
     n_points
         Size of the subsample.
+    others
+        Vertices to be placed besides, shape (k,); they change nothing else.
     ticks_per_length
         Ticks in one unit of length of the map.
     contact
         How long encounters last, their median [ticks].
     begin
         Told the name of each stage before it begins.
+    is_drawn
+        Draw what is only looked at: outlines of holes and the complex. Without, there are none.
 
     Raises
     ------
@@ -99,21 +118,44 @@ def map_component(
     compared = _compare_and_filter(graph, references, recipe, n_points=n_points, contact=contact, begin=begin)
     begin("subsample")
     sample = subsample_maxmin(compared.metric, compared.candidates, n_points=count_points_of_views(n_points, compared.views))
+    doubt = np.zeros(len(sample.vertices)) if compared.doubt is None else compared.doubt[sample.vertices]
+    to_landmarks, landmark_encounters = np.zeros((len(sample.vertices), 0)), np.zeros(0, dtype=np.int64)
+    if isinstance(compared.metric, ProfileMetric) and n_anchors == 0:
+        to_landmarks = compared.metric.profiles[sample.vertices]
+        landmark_encounters = graph.first_encounter[references].astype(np.int64)
+    scale = None
+    if compared.placement is not None:
+        evidence = gather_evidence(graph, compared.placement, contact=contact, n_views=compared.views.number)
+        scale = estimate_scale(evidence, load_scale_law())
+        ticks_per_length /= scale.factor
     begin("persistence")
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
     diameter = float(lengths.max())
     reach = compared.views.reach * diameter
-    real = [judge_intervals(part, rule, diameter=reach) for part, rule in zip(diagram.intervals, rules, strict=True)]
+    n_used = int(graph.multiplicity[compared.kept].sum())
+    # Of several views, each sees a part of the encounters.
+    n_seen = int(n_used / compared.views.number)
+    real = [judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)]
     begin("embedding")
     embedding = embed_in_plane(lengths)
-    coordinates = embedding.coordinates
-    if compared.placement is not None:
-        coordinates = turn_to_axes(compared.placement.xy[sample.vertices] / ticks_per_length)
+    vertices, coordinates = sample.vertices, embedding.coordinates
+    if compared.placement is not None and isinstance(compared.metric, ProfileMetric):
+        places = compared.placement
+        vertices = stand_for(sample, compared.metric, compared.candidates, doubt=places.doubt, xy=places.xy)
+        coordinates = turn_to_axes(places.xy[vertices] / ticks_per_length)
     merges, loops = diagram.intervals
+    drawn = np.flatnonzero(real[1]) if is_drawn else np.zeros(0, dtype=np.int64)
+    size_model = load_size_model(recipe.method, recipe.metric)
     holes = tuple(
-        Hole(component=index, birth=birth, death=death, outline=outline)
-        for (birth, death), outline in zip(loops[real[1]].tolist(), outline_holes(lengths, diagram, np.flatnonzero(real[1])), strict=True)
+        shape_hole(
+            Hole(component=index, birth=birth, death=death, outline=outline),
+            coordinates,
+            lengths,
+            n_used=n_used,
+            model=size_model,
+        )
+        for (birth, death), outline in zip(loops[drawn].tolist(), outline_holes(lengths, diagram, drawn), strict=True)
     )
     if recipe.epsilon_share is None:
         epsilon = choose_epsilon(loops[real[1]], loops[~real[1]], merges[np.isfinite(merges[:, 1]), 1])
@@ -122,7 +164,7 @@ def map_component(
     return PlacedComponent(
         summary=ComponentMap(
             n_encounters=graph.n_encounters,
-            n_used=int(graph.multiplicity[compared.kept].sum()),
+            n_used=n_used,
             n_points=len(sample.vertices),
             n_landmarks=len(graph.landmarks),
             diameter=diameter,
@@ -133,14 +175,37 @@ def map_component(
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
+            scale=scale,
         ),
-        encounters=graph.first_encounter[sample.vertices].astype(np.int64),
+        encounters=graph.first_encounter[vertices].astype(np.int64),
         coordinates=coordinates,
+        others=_place_others(compared, others, sample, vertices, coordinates, ticks_per_length=ticks_per_length),
         holes=holes,
-        skeleton=build_skeleton(lengths, epsilon=epsilon),
+        skeleton=build_skeleton(lengths, epsilon=epsilon if is_drawn else -1.0),
+        diagram=diagram,
+        doubt=read_only(doubt / ticks_per_length),
+        to_landmarks=read_only(to_landmarks / ticks_per_length),
+        landmark_encounters=landmark_encounters,
         n_anchors=n_anchors,
         warnings=warnings,
     )
+
+
+def _place_others(
+    compared: _Compared, others: IntArray, sample: Subsample, vertices: IntArray, coordinates: FloatArray, *, ticks_per_length: float
+) -> FloatArray:
+    """Place further vertices in the same picture, shape (k, 2): where tracks were settled, or else among the points; nan where neither is.
+
+    ``vertices`` stand for the subsample and are at ``coordinates``, shape (m, 2).
+    """
+    if compared.placement is None:
+        to_points = distances_to(compared.metric, others, sample.vertices) / ticks_per_length
+        return place_among(to_points, sample.distances / ticks_per_length, coordinates)
+    # The picture is turned, moved and perhaps mirrored, and nothing else.
+    xy = compared.placement.xy / ticks_per_length
+    middle = xy[vertices].mean(axis=0)
+    linear = np.linalg.pinv(xy[vertices] - middle) @ coordinates
+    return np.asarray(coordinates.mean(axis=0) + (xy[others] - middle) @ linear)
 
 
 def count_points_of_views(n_points: int, views: Views) -> int:
@@ -192,9 +257,14 @@ def _compare_and_filter(
     # Of fewer candidates fewer are averaged, over the same area.
     share = recipe.smoothing_share * (candidates.sum() / kept.sum()) / views.number
     profiles = bracket.middle
-    profiles[candidates] = smooth_profiles(profiles[candidates], n_neighbours=round(share * graph.n_vertices), kernels=graph.kernels)
+    profiles[candidates] = smooth_profiles(
+        profiles[candidates],
+        n_neighbours=round(share * graph.n_vertices),
+        n_passes=recipe.smoothing_passes,
+        kernels=graph.kernels,
+    )
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
-    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views)
+    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, doubt=bracket.doubt)
 
 
 def _place_and_compare(
@@ -209,13 +279,18 @@ def _place_and_compare(
     contact: float,
 ) -> _Compared:
     placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
-    least = _CANDIDATES_PER_POINT * count_points_of_views(n_points, views)
-    best = keep_best_placed(placement, kept, doubt=bracket.doubt, least=least, share=_BEST_SHARE)
-    candidates = thin_out(best, limit=recipe.max_candidates)
+    candidates = thin_out(kept & placement.is_placed, limit=recipe.max_candidates)
     n_averaged = max(_LEAST_AVERAGED, round(recipe.smoothing_share / views.number * placement.is_placed.sum()))
     profiles = placed_profiles(graph, placement, candidates, references, middle=bracket.middle, n_neighbours=n_averaged)
+    surplus = candidates.sum() / count_points_of_views(n_points, views) - recipe.encounters_per_point
+    profiles[candidates] = smooth_profiles(
+        profiles[candidates],
+        n_neighbours=max(0, round(_SPREAD_SHARE * surplus)),
+        n_passes=recipe.smoothing_passes,
+        kernels=graph.kernels,
+    )
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
-    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, placement=placement)
+    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, placement=placement, doubt=bracket.doubt)
 
 
 def _count_views(graph: EncounterGraph, references: IntArray, times: FloatArray) -> Views:

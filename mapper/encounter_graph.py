@@ -85,6 +85,18 @@ class Components(Sequence[EncounterGraph]):
         """Say whether any component has a landmark."""
         return bool(self._whole.is_landmark.any())
 
+    def locate(self, encounters: IntArray) -> tuple[IntArray, IntArray]:
+        """Say where some encounters, shape (k,), are: number of the component, and vertex within it, shape (k,) each."""
+        vertices = self._whole.vertex_of[encounters]
+        rank = np.empty(len(self._numbers), dtype=np.int64)
+        rank[self._numbers] = np.arange(len(self._numbers))
+        numbers = self._whole.component
+        order = np.argsort(numbers, kind="stable")
+        begins = np.searchsorted(numbers[order], np.arange(len(self._numbers)))
+        within = np.empty(len(numbers), dtype=np.int64)
+        within[order] = np.arange(len(numbers)) - begins[numbers[order]]
+        return rank[numbers[vertices]], within[vertices]
+
     def __len__(self) -> int:
         return len(self._numbers)
 

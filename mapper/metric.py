@@ -5,6 +5,8 @@ A metric answers for the vertices of one connected encounter graph; a vertex sta
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from mapper.encounter_graph import EncounterGraph
 from mapper.types import FloatArray, IntArray, ProfileNorm
 
@@ -46,6 +48,18 @@ def profile_metric(graph: EncounterGraph, references: IntArray, *, norm: Profile
         Distinct vertices, shape (l,), at least one; usually ``graph.landmarks``.
     """
     return ProfileMetric(graph=graph, profiles=times_to(graph, references), norm=norm)
+
+
+def distances_to(metric: Metric, vertices: IntArray, points: IntArray) -> FloatArray:
+    """Measure how far some vertices, shape (k,), are from others, shape (m,): [ticks], shape (k, m)."""
+    match metric:
+        case EncounterMetric(graph=graph):
+            sources, place = np.unique(vertices, return_inverse=True)
+            return times_to(graph, sources)[points].T[place]
+        case ProfileMetric(profiles=profiles, norm=norm):
+            rows = [np.abs(profiles[points] - profiles[vertex]) for vertex in vertices]
+            found = [row.max(axis=1) if norm is ProfileNorm.MAX else np.sqrt((row**2).mean(axis=1)) for row in rows]
+            return np.array(found).reshape(-1, len(points))
 
 
 def times_to(graph: EncounterGraph, references: IntArray) -> FloatArray:

@@ -9,13 +9,17 @@ from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NS_PER_S
 from mapper.betti import load_trained_rules
 from mapper.component_map import MIN_LANDMARKS, PlacedComponent, map_component
+from mapper.confidence import Evidence, MapAgain, assess_map, gather_evidence
 from mapper.encounter_graph import Components, build_components
 from mapper.errors import TooFewEncountersError
 from mapper.kernels import Kernels
+from mapper.landmark_stands import Stands, find_stands, make_landmarks
 from mapper.types import (
     TICKS_PER_S,
     EncounterTable,
     FloatArray,
+    Hole,
+    IntArray,
     MapResult,
     ModeSpell,
     Points,
@@ -43,6 +47,7 @@ def compute_map(
     *,
     progress: Progress | None = None,
     kernels: Kernels | None = None,
+    also_place: IntArray | None = None,
 ) -> MapResult:
     """Make the map of all encounters of a table.
 
@@ -58,6 +63,8 @@ def compute_map(
         Told of each stage; called in this thread.
     kernels
         What computes on the graphs; None takes the best there are. The map is the same.
+    also_place
+        Rows of the table to place besides the points, as ``others``; those that have no place are left out.
 
     Raises
     ------
@@ -66,31 +73,94 @@ def compute_map(
     EngineMissingError
         The persistence engine is not installed.
     """
+    report = progress or (lambda _stage, _share: None)
+    result, placed, map_again = _map_components(table, spells, recipe, report=report, kernels=kernels, also_place=also_place)
+    report("confidence", 1.0 - 1.0 / ((len(_STAGES) + 1) * len(placed)))
+    result = assess_map(result, table, spells, placed, map_again=map_again)
+    report("done", 1.0)
+    return result
+
+
+def compute_evidence(
+    table: EncounterTable, spells: Sequence[ModeSpell], recipe: Recipe, *, kernels: Kernels | None = None
+) -> tuple[MapResult, tuple[Evidence, ...]]:
+    """Make the map without saying how sure it is, and what would tell that: the models are trained on it.
+
+    Raises
+    ------
+    TooFewEncountersError
+        Fewer than two encounters.
+    EngineMissingError
+        The persistence engine is not installed.
+    """
+    result, placed, map_again = _map_components(table, spells, recipe, report=lambda _stage, _share: None, kernels=kernels, also_place=None)
+    return result, gather_evidence(result, table, spells, placed, map_again=map_again)
+
+
+def _map_components(
+    table: EncounterTable,
+    spells: Sequence[ModeSpell],
+    recipe: Recipe,
+    *,
+    report: Progress,
+    kernels: Kernels | None,
+    also_place: IntArray | None,
+) -> tuple[MapResult, list[PlacedComponent], MapAgain]:
+    """Map the components; return the map, its parts, and what maps the largest component of some of the encounters in the same way."""
     if len(table) < MIN_ENCOUNTERS:
         raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS)
-    report = progress or (lambda _stage, _share: None)
     report("graph", 0.0)
     rules = recipe.betti_rules or load_trained_rules(recipe.method, recipe.metric).rules
     parts = build_components(table, spells, moving_time=recipe.moving_time, kernels=kernels)
     shares = share_points(parts.sizes, n_points=count_points(len(table), recipe))
     ticks_per_length = TICKS_PER_S / (recipe.speed_mps or 1.0)
+    stands = find_stands(table, spells)
+    rows = np.concatenate([stands.rows, np.empty(0, dtype=np.int64) if also_place is None else also_place])
+    component, vertex = parts.locate(rows)
     contact = float(np.median(table.t_end_ns - table.t_start_ns)) * TICKS_PER_S / NS_PER_S
     placed = []
     for index, n_points in enumerate(shares):
 
         def begin(stage: str, done: int = index) -> None:
-            report(stage, (done + _STAGES.index(stage) / len(_STAGES)) / len(shares))
+            report(stage, (done + _STAGES.index(stage) / (len(_STAGES) + 1)) / len(shares))
 
         placed.append(
             map_component(
-                parts[index], recipe, rules, index=index, n_points=n_points, ticks_per_length=ticks_per_length, contact=contact, begin=begin
+                parts[index],
+                recipe,
+                rules,
+                index=index,
+                n_points=n_points,
+                others=vertex[component == index],
+                ticks_per_length=ticks_per_length,
+                contact=contact,
+                begin=begin,
             )
         )
-    report("done", 1.0)
     warnings = [*_warn_of_span(table), *_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]
     warnings += _warn_of_anchors(placed)
     warnings += [warning for part in placed for warning in part.warnings]
-    return _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(parts), warnings=warnings)
+    result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(parts), warnings=warnings)
+
+    def map_again(some: EncounterTable) -> PlacedComponent | None:
+        if len(some) < MIN_ENCOUNTERS:
+            return None
+        part = build_components(some, spells, moving_time=recipe.moving_time, kernels=kernels)[0]
+        n_points = count_points(len(some), recipe)
+        return map_component(
+            part,
+            recipe,
+            rules,
+            index=0,
+            n_points=n_points,
+            others=np.zeros(0, dtype=np.int64),
+            ticks_per_length=ticks_per_length,
+            contact=contact,
+            begin=lambda _stage: None,
+            is_drawn=False,
+        )
+
+    return _add_others(result, table, placed, rows=rows, component=component, stands=stands), placed, map_again
 
 
 def count_points(n_encounters: int, recipe: Recipe) -> int:
@@ -180,22 +250,13 @@ def _assemble(
     encounters = np.concatenate([part.encounters for part in placed])
     offsets = np.cumsum([0, *(len(part.encounters) for part in placed)])
     coordinates = _side_by_side(placed)
-    start, end = table.t_start_ns[encounters], table.t_end_ns[encounters]
     summaries = tuple(part.summary for part in placed)
     return MapResult(
         betti_numbers=(sum(s.betti_numbers[0] for s in summaries), sum(s.betti_numbers[1] for s in summaries)),
-        points=Points(
-            x=read_only(coordinates[:, 0].copy()),
-            y=read_only(coordinates[:, 1].copy()),
-            t_ns=read_only(start + (end - start) // 2),
-            id1=read_only(table.id1[encounters]),
-            id2=read_only(table.id2[encounters]),
-            component=read_only(np.repeat(np.arange(len(placed)), np.diff(offsets))),
-            encounter=read_only(encounters),
-        ),
+        points=_make_points(table, encounters, coordinates, component=np.repeat(np.arange(len(placed)), np.diff(offsets))),
         components=summaries,
         holes=tuple(
-            replace(hole, outline=read_only(hole.outline + offset))
+            _move_hole(hole, first_point=int(offset), shift=coordinates[offset] - part.coordinates[0])
             for part, offset in zip(placed, offsets, strict=False)
             for hole in part.holes
         ),
@@ -209,6 +270,47 @@ def _assemble(
         length_unit="s" if recipe.speed_mps is None else "m",
         recipe=recipe,
         warnings=tuple(warnings),
+    )
+
+
+def _add_others(
+    result: MapResult, table: EncounterTable, placed: Sequence[PlacedComponent], *, rows: IntArray, component: IntArray, stands: Stands
+) -> MapResult:
+    """Add landmarks, and the other encounters that were to be placed: the first ``rows`` are those of the stands."""
+    coordinates = np.zeros((len(rows), 2))
+    for index, part in enumerate(placed):
+        first = int(np.searchsorted(result.points.component, index))
+        shift = np.array([result.points.x[first], result.points.y[first]]) - part.coordinates[0]
+        coordinates[component == index] = part.others + shift
+    is_placed = (component < len(placed)) & np.isfinite(coordinates).all(axis=1)
+    n_stands = len(stands.rows)
+    of_stands, of_others = (np.flatnonzero(is_placed[some]) for some in (slice(n_stands), slice(n_stands, None)))
+    landmarks = make_landmarks(stands, is_placed=is_placed[:n_stands], places=coordinates[of_stands], component=component[of_stands])
+    of_others += n_stands
+    others = _make_points(table, rows[of_others], coordinates[of_others], component=component[of_others])
+    return replace(result, landmarks=landmarks, others=others if len(others) else None)
+
+
+def _make_points(table: EncounterTable, encounters: IntArray, coordinates: FloatArray, *, component: IntArray) -> Points:
+    start, end = table.t_start_ns[encounters], table.t_end_ns[encounters]
+    return Points(
+        x=read_only(coordinates[:, 0].copy()),
+        y=read_only(coordinates[:, 1].copy()),
+        t_ns=read_only(start + (end - start) // 2),
+        id1=read_only(table.id1[encounters]),
+        id2=read_only(table.id2[encounters]),
+        component=read_only(component),
+        encounter=read_only(encounters),
+    )
+
+
+def _move_hole(hole: Hole, *, first_point: int, shift: FloatArray) -> Hole:
+    """Put a hole of one component among those of all: its points count from ``first_point``, its places move by ``shift``, shape (2,)."""
+    return replace(
+        hole,
+        outline=read_only(hole.outline + first_point),
+        outline_xy=read_only(hole.outline_xy + shift),
+        centre=None if hole.centre is None else read_only(hole.centre + shift),
     )
 
 

@@ -31,17 +31,20 @@ _STRESS_NUMBERS = 2**22  # of all rounds together, beyond which there are fewer
 # Encounters that are placed together, in so many spells of time.
 _MAX_PLACED = 40_000
 _BLOCKS = 8
-_PER_CELL = 100  # encounters compared with each other
 _DIRECTIONS = 16
-_BEND_PER_DISTANCE = 4.0  # a difference in bends counts as a quarter of one in place
+_BEND_PER_DISTANCE = 1.0  # how much a difference in bends counts beside one in place (own choice, on training runs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placement:
-    """Where vertices are in the plane: ``xy`` [ticks], shape (v, 2), and ``is_placed``, shape (v,); nan where one is not."""
+    """Where vertices are in the plane.
+
+    ``xy`` [ticks], shape (v, 2), nan where ``is_placed``, shape (v,), is False; ``doubt`` [ticks], shape (v,): how badly each is known.
+    """
 
     xy: FloatArray
     is_placed: BoolArray
+    doubt: FloatArray
 
 
 def place_in_plane(graph: EncounterGraph, references: IntArray, *, middle: FloatArray, doubt: FloatArray, contact: float) -> Placement:
@@ -75,37 +78,7 @@ def place_in_plane(graph: EncounterGraph, references: IntArray, *, middle: Float
     tension = Tension(blur=blur, drift=_DRIFT, swerve=_SWERVE)
     xy = np.full((graph.n_vertices, 2), np.nan)
     xy[chosen] = graph.kernels.settle_tracks(links, start, pull, tension=tension, rounds=_ROUNDS, steps=_STEPS)
-    return Placement(xy=xy, is_placed=number >= 0)
-
-
-def keep_best_placed(placement: Placement, candidates: BoolArray, *, doubt: FloatArray, least: int, share: float) -> BoolArray:
-    """Say which candidates to keep: of those near each other, the share with least doubt.
-
-    Parameters
-    ----------
-    candidates
-        Shape (v,).
-    least
-        The share is raised until about so many are left, if there are.
-
-    Notes
-    -----
-    Near each other are those in one square of a grid that has as many squares as there are hundreds of candidates: what is badly seen
-    everywhere keeps its best encounters, so no narrow passage is emptied.
-    """
-    rows = np.flatnonzero(candidates & placement.is_placed)
-    share = max(share, min(1.0, least / max(1, len(rows))))
-    xy = placement.xy[rows]
-    extent = float(np.ptp(xy, axis=0).max()) or 1.0
-    per_side = max(1, int(np.sqrt(len(rows) / _PER_CELL)))
-    column, line = np.minimum(((xy - xy.min(axis=0)) / extent * per_side).astype(np.int64), per_side - 1).T
-    cell = column * per_side + line
-    order = np.lexsort((rows, doubt[rows], cell))
-    size = np.bincount(cell, minlength=per_side * per_side)
-    rank = np.arange(len(rows)) - np.repeat(np.cumsum(size) - size, size)
-    kept = np.zeros_like(candidates)
-    kept[rows[order[rank < np.ceil(share * np.repeat(size, size))]]] = True
-    return kept
+    return Placement(xy=xy, is_placed=number >= 0, doubt=doubt)
 
 
 def placed_profiles(

@@ -158,26 +158,53 @@ class PointItem(AnswerModel):
     id1: int
     id2: int
     component: int
+    is_well_seen: bool | None = Field(description="Its distances are most likely right; null: not known")
 
 
 class HoleItem(AnswerModel):
-    """A hole called real."""
+    """A hole called real, or one that may be there; null where nothing is known. Errors are standard errors."""
 
     outline: list[Place]
     points: list[int]
     birth: float
     death: float
     component: int
-    confidence: float | None
+    probability: float | None = Field(
+        description="That it goes around an obstacle, and no longer interval around the same; null: not known"
+    )
+    outline_xy: list[Place] = Field(description="Polygon of what stands in it: closed, counter-clockwise; empty: it cannot be drawn")
+    centre: Place | None
+    area: float | None
+    area_error: float | None
+    perimeter: float | None
+    perimeter_error: float | None
+
+
+class HoleCountItem(AnswerModel):
+    """How many holes the map shows, and how sure that is."""
+
+    value: int
+    probability: float = Field(description="That there are as many in truth")
+    probabilities: dict[str, float] = Field(description="Of each number of holes; those below 1 in 10,000 are left out")
+
+
+class DataItem(AnswerModel):
+    """Whether the encounters are enough for what the map says."""
+
+    is_enough: bool
+    reasons: list[str] = Field(description="Why they are not")
+    remedies: list[str] = Field(description="What would help")
 
 
 class LandmarkItem(AnswerModel):
-    """Where a landmark stood."""
+    """Where a landmark stood, and from when to when [s since 1970]; ``t_end`` null: it still stands."""
 
     id: int
     x: float
     y: float
     component: int
+    t_start: float
+    t_end: float | None
 
 
 class ComplexView(AnswerModel):
@@ -198,6 +225,9 @@ class MapView(AnswerModel):
     intervals: dict[str, list[Interval]]
     points: list[PointItem]
     holes: list[HoleItem]
+    possible_holes: list[HoleItem] = Field(description="Loops that are not called holes and may be, the likeliest first")
+    hole_count: HoleCountItem | None = Field(description="null: not known")
+    data: DataItem | None = Field(description="null: not known")
     landmarks: list[LandmarkItem]
     complex: ComplexView
     components: list[dict[str, object]]
@@ -255,6 +285,46 @@ class DiagramView(AnswerModel):
     diameter: float
     length_unit: str
     n_encounters: int
+
+
+class RoutePlace(AnswerModel):
+    """A place that was asked for: ``gap_s`` is how far the encounter that tells it is from the time asked for."""
+
+    place: str
+    x: float
+    y: float
+    component: int
+    point: int | None
+    gap_s: float
+
+
+class HolePassed(AnswerModel):
+    """How far a route turns about a hole [full turns]: what is above 0 lies on the left of one who walks it."""
+
+    hole: int = Field(description="Its number in the map's list, from 1")
+    turns: float
+
+
+class RouteItem(AnswerModel):
+    """The shortest route of its kind, in map coordinates."""
+
+    length: float
+    length_error: float
+    signature: list[int] = Field(description="Rays from the holes' centres to larger y that it crosses, negative: from right to left")
+    passes: list[HolePassed]
+    xy: list[Place]
+
+
+class RoutesView(AnswerModel):
+    """Routes of different kinds: none of them can be drawn into another without going through an obstacle."""
+
+    model_config = ConfigDict(extra="allow", populate_by_name=True)
+
+    begin: RoutePlace = Field(alias="from")
+    end: RoutePlace = Field(alias="to")
+    length_unit: str
+    is_complete: bool = Field(description="There is no other that is not far longer")
+    routes: list[RouteItem]
 
 
 class EnginesView(AnswerModel):

@@ -51,6 +51,7 @@ class Rows:
 class Contraction:
     """A graph of v vertices, made of n encounters.
 
+    ``vertex_of``, shape (n,), is the vertex of each encounter.
     ``first_encounter``, ``multiplicity``, ``is_landmark`` and ``component`` have shape (v,): the earliest encounter (ascending), how many
     there are, whether a landmark stood there, and the number of the connected component, in the order of their first vertices.
     """
@@ -61,6 +62,7 @@ class Contraction:
     multiplicity: VertexArray
     is_landmark: BoolArray
     component: VertexArray
+    vertex_of: VertexArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

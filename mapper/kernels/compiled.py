@@ -84,6 +84,7 @@ class CompiledKernels:
             multiplicity=multiplicity[:v],
             is_landmark=is_landmark[:v],
             component=component[:v],
+            vertex_of=vertex_of,
         )
 
     def sweep_times(self, links: Links, *, n_vertices: int, sources: IntArray) -> FloatArray:

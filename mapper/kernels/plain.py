@@ -65,6 +65,7 @@ class PlainKernels:
             multiplicity=np.bincount(vertex_of, minlength=len(first)).astype(np.int32),
             is_landmark=is_landmark,
             component=component.astype(np.int32),
+            vertex_of=vertex_of.astype(np.int32),
         )
 
     def sweep_times(self, links: Links, *, n_vertices: int, sources: IntArray) -> FloatArray:
