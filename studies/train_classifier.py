@@ -69,9 +69,10 @@ def train(trials: TrialsBySetting, *, method: Method) -> Training:
     Notes
     -----
     A hole in an arena without any counts as one and a half errors: it is the worst that a map can show. In dimension 1 the mean of
-    neighbouring taus is maximised, so that the middle of a plateau is taken and not its edge. Of the rules that are as good as the best, the one with the largest Delta is taken: it is the safest on recordings with less noise than any
-    simulated; then the better, then that of the lower q. In dimension 0 every run is one component, so no finite interval is real:
-    for ``--method paper`` tau is 1.5 times the largest ratio seen, and the default needs no rule.
+    neighbouring taus is maximised, so that the middle of a plateau is taken and not its edge. Of the rules that are as good as the best,
+    the one with the largest Delta is taken: it is the safest on recordings with less noise than any simulated; then the better, then that
+    of the lower q and power. In dimension 0 every run is one component, so no finite interval is real: for ``--method paper`` tau is 1.5
+    times the largest ratio seen, and the default needs no rule.
     """
     loops = _choose_loop_rule(trials, powers=POWERS if method is Method.DEFAULT else (0.0,))
     every = [trial for group in trials.values() for trial in group]
