@@ -178,7 +178,7 @@ def _count_views(graph: EncounterGraph, references: IntArray, times: FloatArray)
     if not len(columns):
         return ONE_VIEW
     of_landmarks = references[columns]
-    return count_views(times[np.ix_(of_landmarks, columns)], graph.stands[np.searchsorted(graph.landmarks, of_landmarks)])
+    return count_views(times[np.ix_(of_landmarks, columns)], graph.stands[np.searchsorted(graph.landmarks, of_landmarks), 1:])
 
 
 def _inliers(metric: Metric, recipe: Recipe) -> BoolArray:
