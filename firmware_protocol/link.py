@@ -183,8 +183,10 @@ class Link:
         """Whether ``take_frames`` gives one."""
         return bool(self._frames) or (self.state is LinkState.OPEN and self.outgoing.has_next)
 
-    def send(self, payload: bytes, *, now_ns: int, is_urgent: bool = False) -> int:
-        """Queue a payload and return its ticket; an urgent one goes ahead of all that has not been sent.
+    def send(self, payload: bytes, *, now_ns: int, is_urgent: bool = False, is_first: bool = False) -> int:
+        """Queue a payload and return its ticket.
+
+        An urgent one goes ahead of all that has not been sent, a first one of urgent ones too.
 
         Raises
         ------
@@ -196,11 +198,14 @@ class Link:
         if len(payload) > MAX_PAYLOAD:
             msg = f"payload has {len(payload)} bytes, but a link payload has at most {MAX_PAYLOAD}"
             raise ValueError(msg)
-        if self.n_free <= 0 and not is_urgent:
+        if self.n_free <= 0 and not (is_urgent or is_first):
             raise LinkFullError(limit=self.config.max_queue)
         ticket = self._next_ticket
         self._next_ticket += 1
-        self.outgoing.add((ticket, payload), is_urgent=is_urgent)
+        if is_first:
+            self.outgoing.add_first((ticket, payload))
+        else:
+            self.outgoing.add((ticket, payload), is_urgent=is_urgent)
         self._fill_window(now_ns)
         return ticket
 

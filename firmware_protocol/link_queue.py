@@ -52,6 +52,16 @@ class LinkQueue:
         """Let a payload wait."""
         (self._urgent if is_urgent else self._unsent).append(entry)
 
+    def add_first(self, entry: Entry) -> None:
+        """Let a payload wait before all that was not handed out, urgent ones too."""
+        first, last = self._n_numbered, self._n_numbered + self._n_urgent_next
+        for _ in range(first, last):
+            self._urgent.appendleft(self._in_window[last - 1])
+            last -= 1
+            del self._in_window[last]
+        self._n_urgent_next = 0
+        self._urgent.appendleft(entry)
+
     def fill_window(self) -> None:
         """Let into the window what it has room for; nothing else may, while urgent ones wait."""
         while self._urgent and len(self._in_window) < max(self.window, self.urgent_window):

@@ -153,7 +153,15 @@ class Bus:
         standing.declare("command", lambda session: session.declare_queryable(command_key, commands.take))
         if on_order is not None:
             first = commands.hand_over_stops
-            orders = OrderDoor(loop=loop, key=order_key, executor=self._answers, health=health, on_order=on_order, before=first)
+            orders = OrderDoor(
+                loop=loop,
+                key=order_key,
+                executor=self._answers,
+                health=health,
+                on_order=on_order,
+                before=first,
+                on_turned_away=on_turned_away,
+            )
             standing.declare("orders", lambda session: session.declare_queryable(order_key, orders.take))
         standing.declare("history", lambda session: session.declare_queryable(history_key, history.take))
         alive = self._key(Stream.ALIVE)

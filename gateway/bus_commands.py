@@ -67,7 +67,7 @@ class OrderAnswer:
 CommandTaker = Callable[[StimulationRequest, CommandAnswer], None]
 OrderTaker = Callable[[MissionOrder, OrderAnswer], None]
 TurnedAwayListener = Callable[[bytes, str], None]
-"""Hears, on a thread of Zenoh, the octets of a query that was no command or one too many, and why."""
+"""Hears, on a thread of Zenoh, the octets of a query that was no command and no order, or one too many, and why."""
 
 
 class CommandDoor:
@@ -100,20 +100,16 @@ class CommandDoor:
         try:
             request = decode_record(octets, StimulationRequest)
         except RecordError as error:
-            self._turn_away(query, octets, str(error))
+            _turn_away(query, octets, str(error), health=self._health, listener=self._on_turned_away)
             return
         lane = self._stops if request.action in STOPS else self._others
         if not lane.append(request, CommandAnswer(query=query, key=self._key, executor=self._executor)):
-            self._turn_away(query, octets, f"{lane.limit} commands wait already; try again")
+            reason = f"{lane.limit} commands wait already; try again"
+            _turn_away(query, octets, reason, health=self._health, listener=self._on_turned_away)
 
     def hand_over_stops(self) -> None:
         """Hand over the stops that wait, in the loop."""
         self._stops.hand_over()
-
-    def _turn_away(self, query: zenoh.Query, octets: bytes, reason: str) -> None:
-        refuse(query, reason, health=self._health)
-        if self._on_turned_away is not None:
-            self._on_turned_away(octets, reason)
 
 
 class OrderDoor:
@@ -128,21 +124,25 @@ class OrderDoor:
         health: Health,
         on_order: OrderTaker,
         before: Callable[[], None],
+        on_turned_away: TurnedAwayListener | None = None,
     ) -> None:
         self._key = key
+        self._on_turned_away = on_turned_away
         self._executor = executor
         self._health = health
         self._orders = _Lane(loop=loop, take=on_order, at_once=_AT_ONCE, limit=_MAX_ORDERS, before=before)
 
     def take(self, query: zenoh.Query) -> None:
         """Runs on a thread of Zenoh."""
+        octets = payload_of(query)
         try:
-            order = decode_record(payload_of(query), MissionOrder)
+            order = decode_record(octets, MissionOrder)
         except RecordError as error:
-            refuse(query, str(error), health=self._health)
+            _turn_away(query, octets, str(error), health=self._health, listener=self._on_turned_away)
             return
         if not self._orders.append(order, OrderAnswer(query=query, key=self._key, executor=self._executor)):
-            refuse(query, f"{self._orders.limit} mission orders wait already; try again", health=self._health)
+            reason = f"{self._orders.limit} mission orders wait already; try again"
+            _turn_away(query, octets, reason, health=self._health, listener=self._on_turned_away)
 
 
 class _Lane(Generic[_AskedT, _AnswerT]):
@@ -190,6 +190,12 @@ class _Lane(Generic[_AskedT, _AnswerT]):
             self._take(asked, answer)
         if has_more:
             self._loop.call_soon(self.hand_over)
+
+
+def _turn_away(query: zenoh.Query, octets: bytes, reason: str, *, health: Health, listener: TurnedAwayListener | None) -> None:
+    refuse(query, reason, health=health)
+    if listener is not None:
+        listener(octets, reason)
 
 
 def _reply(query: zenoh.Query, key: str, answer: Struct, *, is_last: bool) -> None:

@@ -1,10 +1,12 @@
 """Everything between a command on the bus and the gate, wired together: commanders, the account of whom they move, gate, dead-man."""
 
 import asyncio
+from collections.abc import Iterator
 from typing import Self
 
 from firmware_protocol.contract.commands import StimulationRequest
 from gateway.audit_log import AuditLog
+from gateway.begun import begin
 from gateway.bus import Bus
 from gateway.bus_commands import STOPS, CommandAnswer
 from gateway.commanders import LATE_TOKEN_S, Commanders
@@ -14,7 +16,7 @@ from gateway.dead_man import DeadMan
 from gateway.downlink import DownlinkSender
 from gateway.health import Health
 from gateway.journal import Journal
-from gateway.journal_file import JournalReader
+from gateway.journal_file import AuditEntry, JournalReader
 from gateway.nodes import NodeBook
 from gateway.stimulation import StimulationGate
 
@@ -73,17 +75,21 @@ class Commanding:
             health=health,
             boot=journal.boot,
         )
-        dead_man.restore(reader.read_newest_audit(limit=_REMEMBERED_ROWS))
+        dead_man.restore(_remembered(reader))
         gate.listen(dead_man.hear)
         gate.listen(lambda _request, stage: bus.publish_stage(stage))
         gate.listen_to_accounts(bus.publish_account)
         return cls(gate=gate, commanders=commanders, dead_man=dead_man)
 
     def take(self, tasks: asyncio.TaskGroup, request: StimulationRequest, answer: CommandAnswer) -> None:
-        """Take a command from the bus; until the gateway has ended, for a stop may come while it does."""
+        """Take a command from the bus; until the gateway has ended, for a stop may come while it does. A stop is sent at once."""
         if self._has_ended:
             return
-        task = tasks.create_task(self._take(request, answer))
+        taking = self._take(request, answer)
+        rest = begin(taking) if request.action in STOPS else taking
+        if rest is None:
+            return
+        task = tasks.create_task(rest)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
@@ -100,3 +106,8 @@ class Commanding:
             # Its token may be on its way still; the gate refuses what comes without one.
             await self.commanders.wait_for(request.commander, timeout_s=min(LATE_TOKEN_S, request.ttl_ms / 1000))
         await self.gate.handle(request, answer.tell, came_ns=answer.came_ns)
+
+
+def _remembered(reader: JournalReader) -> Iterator[AuditEntry]:
+    """Read the newest rows when the first is wanted: whoever takes them knows what to do where they cannot be read."""
+    yield from reader.read_newest_audit(limit=_REMEMBERED_ROWS)

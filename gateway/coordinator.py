@@ -30,6 +30,7 @@ from gateway.config import LinkTable
 from gateway.errors import RadioUnavailableError, TransportClosedError, TransportError, TransportSilentError, first_transport_error
 from gateway.health import Health
 from gateway.line_pace import LinePace
+from gateway.line_writer import LineWriter
 from gateway.log import EventLog
 from gateway.outage import OnState, Outage
 from gateway.port_opening import OpenPort, PortOpening
@@ -93,7 +94,8 @@ class Coordinator:
         self._config = config
         self._health = health
         self._host = make_host()
-        self._is_held = False
+        self._line: LineWriter | None = None
+        """While the port is open."""
         self._pace = pace or LinePace(bytes_per_s=None)
         self._wake = asyncio.Event()
         self._sessions = RadioSessions(first=first_session)
@@ -109,7 +111,7 @@ class Coordinator:
     @property
     def is_up(self) -> bool:
         """Whether payloads can be sent now."""
-        return self._is_held and self._host.is_open
+        return self._line is not None and self._host.is_open
 
     @property
     def n_pending(self) -> int:
@@ -157,8 +159,11 @@ class Coordinator:
             ticket = self._host.send(destination=destination, payload=payload, now_ns=now_ns, is_urgent=is_urgent)
         except LinkFullError as error:
             raise RadioUnavailableError(radio=self.radio, reason=str(error)) from error
+        future = self._sendings.add(ticket, deadline_ns=now_ns + int(self._config.radio_timeout_s * NS_PER_S))
+        if is_urgent and self._line is not None:
+            self._line.write_at_once(self._next_frame)
         self._wake.set()
-        return self._sendings.add(ticket, deadline_ns=now_ns + int(self._config.radio_timeout_s * NS_PER_S))
+        return future
 
     def send_timed(self, *, destination: ShortAddress, make: Callable[[int], bytes]) -> "asyncio.Future[RadioOutcome]":
         """Send a payload that ``make`` makes of the instant [ns] at which the port is about to take it; it overtakes all that waits then.
@@ -211,22 +216,21 @@ class Coordinator:
 
     async def _hold(self, transport: Transport) -> None:
         """Keep the dongle open on an open port; ends with the ``TransportError`` that ended it."""
-        self._is_held = True
-        self._pace.start_anew()
+        self._line = LineWriter(transport, pace=self._pace)
         self._reopen_pause_s = 0.0
         self._open_host()
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._read(transport))
                 # In the group's body, not as a task: in Python 3.11 a group whose body has ended leaves its parent marked as cancelled.
-                await self._write(transport)
+                await self._write(transport, self._line)
         except BaseExceptionGroup as group:
             _, rest = group.split(TransportError)
             if rest is not None:
                 raise
             raise first_transport_error(group) from group
         finally:
-            self._is_held = False
+            self._line = None
             self._sessions.end(now_ns=time.monotonic_ns())
             self._count_faults()
             self._sendings.settle_all(RadioOutcome(fate=Fate.UNKNOWN, reason="the port was closed"))
@@ -251,13 +255,13 @@ class Coordinator:
             self._count_faults()
             self._wake.set()
 
-    async def _write(self, transport: Transport) -> None:
+    async def _write(self, transport: Transport, line: LineWriter) -> None:
         timer = WakeTimer(self._wake.set)
         try:
             while True:
                 if (safe := self._receipts.take_ready()) is not None:  # here, so that all payloads of one commit share one acknowledgement
                     self._host.confirm(safe)
-                await self._write_what_fits(transport)
+                await line.write_what_fits(self._next_frame)
                 deadline_ns = self._next_deadline_ns()
                 timer.aim(deadline_ns)
                 await self._wake.wait()
@@ -267,25 +271,17 @@ class Coordinator:
         finally:
             timer.stop()
 
-    async def _write_what_fits(self, transport: Transport) -> None:
-        """Write frame by frame while the line is free: what is urgent goes before all that was not handed out yet."""
-        while self._pace.free_at_ns <= (now_ns := time.monotonic_ns()):
-            self._make_timed(now_ns)
-            frames = self._host.take_frames(at_most=1)
-            if not frames:
-                return
-            await transport.write(frames[0])
-            self._pace.note(len(frames[0]), now_ns=time.monotonic_ns())
+    def _next_frame(self, now_ns: int) -> bytes | None:
+        """Return what the port is to have now: what is urgent before all that was not handed out yet.
 
-    def _make_timed(self, now_ns: int) -> None:
-        """Make the timed payload that waits, if the dongle can have it now: the next to go, but for what is urgent and was sent before."""
-        timed = self._sendings.take_timed()
-        if timed is None:
-            return
-        try:
-            timed.follow(self.send(destination=timed.destination, payload=timed.make(now_ns), is_urgent=True))
-        except RadioUnavailableError as error:
-            timed.settle(RadioOutcome(fate=Fate.UNKNOWN, reason=error.reason))
+        The timed payload that waits is made for it: the next to go, but for what is urgent and was sent before.
+        """
+        if (timed := self._sendings.take_timed()) is not None:
+            try:
+                timed.follow(self.send(destination=timed.destination, payload=timed.make(now_ns), is_urgent=True))
+            except RadioUnavailableError as error:
+                timed.settle(RadioOutcome(fate=Fate.UNKNOWN, reason=error.reason))
+        return next(iter(self._host.take_frames(at_most=1)), None)
 
     def _next_deadline_ns(self) -> int | None:
         deadlines = [self._host.next_deadline_ns(), self._reopen_at_ns, self._sendings.next_deadline_ns]

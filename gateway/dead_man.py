@@ -6,10 +6,13 @@ was restarted meanwhile, or when it ends. A stop that the biobot does not confir
 
 import asyncio
 import contextlib
+import sqlite3
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, Protocol
+
+import msgspec
 
 from firmware_protocol.contract.commands import CommandStage, PulseRequest, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.records import decode_record
@@ -117,18 +120,27 @@ class DeadMan:
         self._wake.set()
 
     def restore(self, entries: Iterable[AuditEntry]) -> None:
-        """Take what the journal knows, in order: whoever was moved when the process before this one ended is owed a stop."""
-        now_ns = self._clock_ns()
-        for entry in entries:
-            try:
-                request, stage = decode_record(entry.request, StimulationRequest), decode_record(entry.body, CommandStage)
-            except RecordError:
-                self._health.count("dead_man.unread_entries")
-                continue
-            if entry.stage == stage.stage.value:  # else it is no stage of its own: a frame of a stop that was sent again
-                self._book.note(request, stage, now_ns=now_ns)
+        """Take what the journal knows, in order: whoever was moved when the process before this one ended is owed a stop.
+
+        What is behind a damage is not known; the log says so, and what to do.
+        """
+        try:
+            for entry in entries:
+                self._remember(entry)
+        except (sqlite3.Error, msgspec.ValidationError) as error:
+            advice = "biobots that were moved before the gateway ended may be moving: stop all (`biobot-gateway stop --all`)"
+            _log.error("dead_man.unread_journal", reason=str(error), advice=advice)
         for control in list(self._book.controlled.values()):
             self._owe(control, "the gateway was restarted while it was under control")
+
+    def _remember(self, entry: AuditEntry) -> None:
+        try:
+            request, stage = decode_record(entry.request, StimulationRequest), decode_record(entry.body, CommandStage)
+        except RecordError:
+            self._health.count("dead_man.unread_entries")
+            return
+        if entry.stage == stage.stage.value:  # else it is no stage of its own: a frame of a stop that was sent again
+            self._book.note(request, stage, now_ns=self._clock_ns())
 
     async def run(self) -> None:
         """End controlled motion whenever it is to end, until cancelled."""

@@ -67,6 +67,29 @@ class DownlinkSender:
                 self._sequence = (self._sequence + 1) % _SEQUENCE_MODULUS
         return futures
 
+    def ways_to(self, node: NodeId) -> list[str]:
+        """Return the radios that may reach a biobot: the one that heard it last, and each other that heard it within the last minutes."""
+        known = self._nodes.find(node)
+        last = [] if known is None else [known.radio]
+        return list(dict.fromkeys([*last, *(place.radio for place in self._nodes.places_of(node, now_ns=time.monotonic_ns()))]))
+
+    def send_over(self, radio: str, node: NodeId, message: Downlink) -> "asyncio.Future[RadioOutcome]":
+        """Send an urgent message over one of the radios that may reach a biobot.
+
+        Raises
+        ------
+        RadioUnavailableError
+            As of ``send``.
+        """
+        known = self._nodes.find(node)
+        place = next((one for one in self._nodes.places_of(node, now_ns=time.monotonic_ns()) if one.radio == radio), None)
+        coordinator = self._coordinators.get(radio)
+        if place is None or coordinator is None or (known is not None and known.radio == radio and known.address is not None):
+            return self.send(node, message, is_urgent=True)
+        future = coordinator.send(destination=place.address, payload=encode_downlink(self._sequence, message), is_urgent=True)
+        self._sequence = (self._sequence + 1) % _SEQUENCE_MODULUS
+        return future
+
     def send_to_all(self, message: Downlink) -> "dict[str, asyncio.Future[RadioOutcome]]":
         """Send an urgent message by broadcast, one frame on each radio that is up; return what tells its fate, by radio."""
         payload = encode_downlink(self._sequence, message)

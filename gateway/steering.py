@@ -108,11 +108,13 @@ class Steering:
     """Lines to show, the newest last."""
     has_ended: bool = False
     """The newest command has its last stage."""
+    is_confirmed: bool = False
+    """The biobot has confirmed the newest command."""
     _ours: deque[str] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
 
     def sent(self, command_id: str, action: StimulationAction) -> None:
         """Take that a command goes out."""
-        self.newest, self.has_ended, self.is_stopped = command_id, False, False
+        self.newest, self.has_ended, self.is_stopped, self.is_confirmed = command_id, False, False, False
         self._ours.append(command_id)
         self.is_moving = self.is_moving or action is not StimulationAction.STOP
 
@@ -125,7 +127,7 @@ class Steering:
             self.is_stopped, self.is_moving = True, False
         if stage.command_id != self.newest or not stage.is_final:
             return
-        self.has_ended = True
+        self.has_ended, self.is_confirmed = True, stage.stage is Stage.BIOBOT_CONFIRMED
         if is_stopped:
             self.is_stopped, self.is_moving = True, False
 

@@ -10,7 +10,6 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -19,6 +18,7 @@ from firmware_protocol.errors import ConfigurationError
 from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
 from mapper.errors import MapError, OutOfMemoryError, TooFewEncountersError
 from mapper.output_files import STANDARD, check_outputs, is_standard_output, write_output
+from mapper.reading_flags import add_reading_arguments, reading_options
 from mapper.types import MapResult, Method, MetricKind
 
 _MAX_ID = 2**63 - 1
@@ -106,37 +106,43 @@ def _check_configuration(args: argparse.Namespace) -> int:
 
 def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     if args.encounters is None:
-        parser.error("run: give the CSV file of encounters")
+        parser.error("run: give the file of contacts")
     config = load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
     # numpy and scipy take half a second: usage errors and --help do not wait for them.
-    from mapper.encounter_csv import read_encounters, read_modes  # noqa: PLC0415
+    from mapper.encounter_csv import read_modes  # noqa: PLC0415
     from mapper.kernels import choose_kernels  # noqa: PLC0415
-    from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415
+    from mapper.log_map import map_log  # noqa: PLC0415
+    from mapper.pipeline import MIN_ENCOUNTERS  # noqa: PLC0415
+    from mapper.reading import read_ids, read_log  # noqa: PLC0415
     from mapper.time_limits import make_limits  # noqa: PLC0415
-    from mapper.window import absent_biobots, stationary_spells  # noqa: PLC0415
 
     inputs = _given(args.encounters, args.modes)
     if inputs.count(STANDARD) > 1:
         parser.error("run: standard input can be given for one file")
     check_outputs(_given(args.json, args.svg, args.png), [*inputs, *_given(args.config)])
     limits = make_limits(window_s=args.window_s, from_s=args.from_s, until_s=args.until_s)
-    table, facts = limits.clip(read_encounters(args.encounters))
+    kernels = choose_kernels()
+    log = read_log(args.encounters, reading_options(args))
+    table, facts = limits.clip(log.table)
     if len(table) < MIN_ENCOUNTERS:
         n_outside = int(facts["n_before"] or 0) + int(facts["n_after"] or 0)
         raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=str(args.encounters), n_outside=n_outside)
-    spells = read_modes(args.modes) if args.modes is not None else ()
-    stationary = args.stationary or ()
-    absent = absent_biobots(table, stationary)
-    kernels = choose_kernels()
+    spells = None if args.modes is None else read_modes(args.modes, number_of=log.names.number_of)
+    stationary = None if args.stationary is None else read_ids(args.stationary)
     if kernels.shortfall is not None:
         print(f"biobot-mapper: warning: {kernels.shortfall}", file=sys.stderr)
     try:
-        result = compute_map(table, (*spells, *stationary_spells(table, stationary)), make_recipe(config.recipe), kernels=kernels)
+        result = map_log(
+            log,
+            table,
+            make_recipe(config.recipe),
+            spells=spells,
+            stationary=stationary,
+            searches=args.find_stationary,
+            kernels=kernels,
+        )
     except MemoryError as error:
         raise OutOfMemoryError(n_encounters=len(table)) from error
-    if absent:
-        warning = f"stationary biobots {', '.join(map(str, absent))} are in no encounter"
-        result = replace(result, warnings=(*result.warnings, warning))
     for warning in result.warnings:
         print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
     _write_outputs(result, facts, args, part=limits.describe())
@@ -214,7 +220,8 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
     commands = parser.add_subparsers(dest="command", metavar="{run,merge,serve,feasibility,warm-up,config}")
-    run = commands.add_parser("run", help="make a map of a CSV file", description="Make a map of a CSV file of encounters.")
+    about = "Make a map of a log of contacts."
+    run = commands.add_parser("run", help="make a map of a log of contacts", usage="%(prog)s FILE [options]", description=about)
     _add_common(run, default=argparse.SUPPRESS)
     _add_run_arguments(run)
     about = "Make one map of several recordings: successive windows of a swarm that moves on, or sites that share landmarks or biobots."
@@ -254,9 +261,9 @@ def _add_common(parser: argparse.ArgumentParser, *, default: str | None) -> None
 
 
 def _add_run_arguments(run: argparse.ArgumentParser) -> None:
-    run.add_argument("encounters", type=Path, nargs="?", help="CSV with the columns t_start_s,t_end_s,id1,id2; - is standard input")
+    run.add_argument("encounters", type=Path, nargs="?", help="contacts (docs/your-own-data.md); - is standard input")
     run.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
-    run.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
+    add_reading_arguments(run)
     run.add_argument("--from-s", type=float, metavar="T", help="leave out what was over at this time of the file")
     run.add_argument("--until-s", type=float, metavar="T", help="leave out what had not begun at this time of the file")
     run.add_argument("--window-s", type=float, metavar="S", help="leave out what was over S before the newest encounter's end")

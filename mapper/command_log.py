@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections import OrderedDict
+from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -68,6 +68,8 @@ class Command:
     """Nothing more is awaited."""
     is_unheard: bool = False
     """It was given to all, and nobody was there."""
+    nearest: str | None = None
+    """Of the gateways that were asked for one biobot, the one that heard it last."""
 
     @property
     def stages(self) -> list[CommandStage]:
@@ -90,12 +92,23 @@ class Command:
         return bool(self.answers) and not self.unfinished
 
     @property
+    def is_settled(self) -> bool:
+        """Of no gateway that it concerns more is awaited."""
+        answers = self._answers_that_count
+        return all(answer.outcome is not None for answer in answers) if answers else self.is_closed or self.is_unheard
+
+    @property
     def outcome(self) -> Outcome | None:
-        """How it ended at the gateways that it concerns, the worst of it; None while it is under way."""
+        """How it ended at the gateways that it concerns, the worst of it; None while it is under way.
+
+        A stop of one biobot that several gateways were asked for is done when any of them has its word.
+        """
         answers = self._answers_that_count
         if not answers:
             return Outcome.UNDELIVERED if self.is_closed or self.is_unheard else None
         outcomes = {answer.outcome for answer in answers}
+        if self.action is StimulationAction.STOP and Outcome.BIOBOT_CONFIRMED in outcomes:
+            return Outcome.BIOBOT_CONFIRMED
         return None if None in outcomes else next(outcome for outcome in _WORST_FIRST if outcome in outcomes)
 
     @property
@@ -155,7 +168,7 @@ class Command:
 
 
 class CommandLog:
-    """Commands by id; waiters are woken by `Changes`."""
+    """Commands by id. Who waits for one is woken by what is told of that one: a stop of all tells of hundreds at once."""
 
     def __init__(self, *, changes: Changes, wall_ns: Callable[[], int] = time.time_ns) -> None:
         self._changes = changes
@@ -164,12 +177,14 @@ class CommandLog:
         self._own: OrderedDict[str, Command] = OrderedDict()
         self._foreign: OrderedDict[str, Command] = OrderedDict()
         self._parts: OrderedDict[str, Command] = OrderedDict()
+        self._waiting: defaultdict[str, set[asyncio.Event]] = defaultdict(set)
+        """Who waits for a command, by its id."""
 
     def listen(self, listener: Callable[[CommandStage], None]) -> None:
         """Have each stage told once, of whichever command it is."""
         self._listeners.append(listener)
 
-    def add(self, request: StimulationRequest, *, gateway: str | None, asked: Iterable[str]) -> Command:
+    def add(self, request: StimulationRequest, *, gateway: str | None, asked: Iterable[str], nearest: str | None = None) -> Command:
         """Remember a command that is given here; ``asked`` are the gateways of which an answer is awaited."""
         command = Command(
             command_id=request.command_id,
@@ -180,9 +195,10 @@ class CommandLog:
             began_wall_ns=self._wall_ns(),
             request=request,
             answers={name: Answer() for name in asked},
+            nearest=nearest,
         )
         _remember(self._own, command)
-        self.tell()
+        self.tell(command)
         return command
 
     def take(self, stage: CommandStage) -> None:
@@ -202,11 +218,13 @@ class CommandLog:
         if command.take(stage):
             for listener in self._listeners:
                 listener(stage)
-            self.tell()
+            self.tell(command)
 
-    def tell(self) -> None:
+    def tell(self, command: Command) -> None:
         """Wake those who wait for a command."""
         self._changes.bump(Topic.COMMANDS)
+        for waiting in self._waiting.get(command.command_id, ()):
+            waiting.set()
 
     def find(self, command_id: str) -> Command | None:
         """Return a command by its id, or None."""
@@ -234,12 +252,22 @@ class CommandLog:
         # Of those that came at one instant the later shall come first, too.
         return sorted(chosen, key=lambda command: command.began_wall_ns)[::-1][:limit]
 
-    async def wait(self, is_met: Callable[[], bool], *, timeout_s: float | None = None) -> bool:
-        """Wait until something is as wanted that changes with commands; return whether it is."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout(timeout_s):
-                while not is_met():
-                    await self._changes.wait(seen={Topic.COMMANDS: self._changes.versions[Topic.COMMANDS]})
+    async def wait(self, is_met: Callable[[], bool], *, of: Iterable[Command], timeout_s: float | None = None) -> bool:
+        """Wait until something is as wanted that changes with some commands; return whether it is."""
+        names, news = [command.command_id for command in of], asyncio.Event()
+        for name in names:
+            self._waiting[name].add(news)
+        try:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(timeout_s):
+                    while not is_met():
+                        news.clear()
+                        await news.wait()
+        finally:
+            for name in names:
+                self._waiting[name].discard(news)
+                if not self._waiting[name]:
+                    del self._waiting[name]
         return is_met()
 
 

@@ -3,10 +3,12 @@
 import asyncio
 import time
 import uuid
-from collections.abc import AsyncGenerator, Callable, Coroutine
+from collections.abc import AsyncGenerator, Callable, Coroutine, Mapping
 from contextlib import aclosing
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
+
+import msgspec
 
 from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, StimulationAction, StimulationRequest
 from firmware_protocol.units import EVERYBODY, Nanoseconds, NodeId
@@ -125,15 +127,16 @@ class CommandDesk:
             return known
         is_for_all = wish.action is StimulationAction.STOP_ALL
         self._held_back = {token: node for token, node in self._held_back.items() if not is_for_all and node != wish.node}
-        gateway = None if is_for_all else self._fleet.gateway_of(wish.node)
-        if gateway is not None and not self._is_there(gateway):
-            gateway = None  # another may reach the biobot
+        # Whoever has ever heard it may be who reaches it now; where nobody is there who has, all are asked.
+        hearers = [] if is_for_all else [name for name in self._fleet.hearers_of(wish.node) if self._is_there(name)]
+        nearest = hearers[0] if hearers else None
         request = self._request(wish, commander="", issued_wall_ns=self._wall_ns())
         timeout_s = _PATIENCE_FOR_ALL_S if is_for_all else request.ttl_ms / 1000 + _PATIENCE_S
-        stages = self._ask(request, gateway=gateway, timeout_s=timeout_s)
-        asked = self._fleet.gateways_heard() if gateway is None else [gateway]
-        command = self.log.add(request, gateway=gateway, asked=asked)
-        self._start(self._insist(command, stages, timeout_s=timeout_s), command)
+        names: list[str | None] = [*hearers] if hearers else [None]
+        asking = {name: self._ask(_stop_for(request, name, nearest=nearest), gateway=name, timeout_s=timeout_s) for name in names}
+        asked = hearers or self._fleet.gateways_heard()
+        command = self.log.add(request, gateway=nearest if len(hearers) == 1 else None, asked=asked, nearest=nearest)
+        self._start(self._insist(command, asking, timeout_s=timeout_s), command)
         return command
 
     def insist(self, command: Command) -> None:
@@ -142,9 +145,10 @@ class CommandDesk:
         if request is None or command.is_answered or not command.is_closed:
             return
         command.reopen()
-        timeout_s = _PATIENCE_FOR_ALL_S if command.gateway is None else request.ttl_ms / 1000 + _PATIENCE_S
-        stages = self._ask(request, gateway=command.gateway, timeout_s=timeout_s)
-        self._start(self._insist(command, stages, timeout_s=timeout_s), command)
+        timeout_s = _PATIENCE_FOR_ALL_S if command.nearest is None else request.ttl_ms / 1000 + _PATIENCE_S
+        names: list[str | None] = [None] if command.nearest is None else [*command.unfinished]
+        asking = {name: self._ask(_stop_for(request, name, nearest=command.nearest), gateway=name, timeout_s=timeout_s) for name in names}
+        self._start(self._insist(command, asking, timeout_s=timeout_s), command)
 
     async def release(self) -> None:
         """Stop whom this mapper moves, wait a little for the answers, and move nobody any more."""
@@ -152,7 +156,7 @@ class CommandDesk:
         nodes = self._commander.motion.nodes(now_ns=time.monotonic_ns())
         stops = [self.stop(Wish(node=node, action=StimulationAction.STOP, operator=_LAST_OPERATOR)) for node in nodes]
         if stops:
-            await self.log.wait(lambda: all(map(has_ended, stops)), timeout_s=_LAST_STOPS_S)
+            await self.log.wait(lambda: all(map(has_ended, stops)), of=stops, timeout_s=_LAST_STOPS_S)
             outcomes = [str(stop.outcome or "unknown") for stop in stops]
             _log.info("commander.released", biobots=len(nodes), confirmed=outcomes.count(str(Outcome.BIOBOT_CONFIRMED)))
 
@@ -224,7 +228,7 @@ class CommandDesk:
             self._n_under_way -= 1
             self._end(command)
 
-    async def _insist(self, command: Command, stages: _Stages, *, timeout_s: float) -> None:
+    async def _insist(self, command: Command, first: Mapping[str | None, _Stages], *, timeout_s: float) -> None:
         """Follow a stop, and ask gateways that tell nothing again and again, for a while; until they do, they count as away."""
         loop = asyncio.get_running_loop()
         begun_s = loop.time()
@@ -239,32 +243,34 @@ class CommandDesk:
             n_open += 1
             faults[name] = await self._take_in(command, stages)
             n_open -= 1
-            self.log.tell()
+            self.log.tell(command)
 
         def judge(names: list[str]) -> None:
             command.is_unheard = not command.answers
             for name in names:
                 fault = faults.get(name, faults.get(None)) if self._is_there(name) else None
                 self._settle(command, name, fault)
-            self.log.tell()
+            self.log.tell(command)
 
         if len(self._insisting) < _MAX_INSISTED:
             self._insisting.add(command.command_id)
         try:
             async with asyncio.TaskGroup() as group:
-                asking = [group.create_task(follow(command.gateway, stages))]
+                asking = [group.create_task(follow(name, stages)) for name, stages in first.items()]
                 await asyncio.sleep(0)  # it has begun
                 while not command.is_answered and loop.time() - begun_s < _ASKED_FOR_S and command.command_id in self._insisting:
-                    if await self.log.wait(lambda: command.is_answered or n_open == 0, timeout_s=_ASK_AGAIN_S):
+                    if await self.log.wait(lambda: command.is_answered or n_open == 0, of=[command], timeout_s=_ASK_AGAIN_S):
                         judge(command.unfinished)
-                        await self.log.wait(lambda: command.is_answered, timeout_s=_ASK_AGAIN_S)
+                        await self.log.wait(lambda: command.is_answered, of=[command], timeout_s=_ASK_AGAIN_S)
                     asking += [
-                        group.create_task(follow(name, self._ask(request, gateway=name, timeout_s=timeout_s)))
+                        group.create_task(
+                            follow(name, self._ask(_stop_for(request, name, nearest=command.nearest), gateway=name, timeout_s=timeout_s))
+                        )
                         for name in self._untold(command, is_idle=n_open == 0)
                     ]
                 if command.command_id in self._insisting:
                     judge(command.silent)
-                await self.log.wait(lambda: command.is_answered or n_open == 0, timeout_s=timeout_s)
+                await self.log.wait(lambda: command.is_answered or n_open == 0, of=[command], timeout_s=timeout_s)
                 for one in asking:
                     one.cancel()
             judge(command.unfinished)
@@ -320,5 +326,12 @@ class CommandDesk:
         command.is_closed = True
         if command.outcome in {Outcome.REFUSED, Outcome.UNDELIVERED}:
             self._commander.motion.forget(node=command.node, command_id=command.command_id)
-        self.log.tell()
+        self.log.tell(command)
         _log.info("command.ended", id=command.command_id, biobot=command.node, outcome=str(command.outcome), reason=command.reason)
+
+
+def _stop_for(request: StimulationRequest, gateway: str | None, *, nearest: str | None) -> StimulationRequest:
+    """Return a stop as a gateway is asked for it: one gateway alone may give a train with it, for none knows of the others' trains."""
+    if nearest is None or gateway == nearest:
+        return request
+    return msgspec.structs.replace(request, pulse=PulseRequest(duration_ms=0))

@@ -39,8 +39,13 @@ class Stop:
 
     @property
     def has_ended(self) -> bool:
-        """Nothing more is awaited."""
+        """All that it is for have stopped, or nothing more is awaited."""
         return all(map(has_ended, self.commands))
+
+    @property
+    def is_settled(self) -> bool:
+        """Of no gateway more is awaited."""
+        return all(command.is_settled for command in self.commands)
 
     @property
     def silent(self) -> list[str]:
@@ -78,9 +83,9 @@ class EmergencyStop:
     async def wait(self, stop: Stop, *, wait_s: float | None) -> None:
         """Wait for the end of a stop, or (None) for what gateways say first, which is not long in coming."""
         if wait_s is None:
-            await self._desk.log.wait(lambda: stop.is_taken or stop.has_ended, timeout_s=_FIRST_WORDS_S)
+            await self._desk.log.wait(lambda: stop.is_taken or stop.is_settled, of=stop.commands, timeout_s=_FIRST_WORDS_S)
         elif wait_s > 0:
-            await self._desk.log.wait(lambda: stop.has_ended, timeout_s=wait_s)
+            await self._desk.log.wait(lambda: stop.has_ended, of=stop.commands, timeout_s=wait_s)
 
     def _give(self, name: str, *, operator: str, biobots: tuple[NodeId, ...] | None) -> list[Command]:
         if biobots is None:

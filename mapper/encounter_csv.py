@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -33,7 +34,8 @@ from mapper.window import make_encounter_table
 ENCOUNTER_COLUMNS = ("t_start_s", "t_end_s", "id1", "id2")
 MODE_COLUMNS = ("t_start_s", "t_end_s", "id", "mode", "cause")
 
-_MAX_FILE_BYTES = 2**30
+MAX_FILE_BYTES = 2**30
+"""A file is read whole."""
 _MAX_ID = 2**63 - 1
 # Sums of two instants, and a whole span in half nanoseconds, must fit 63 bits. Wall clocks since 1970 are near 1.8e9 s.
 _MIN_TIME_S, _MAX_TIME_S = -300_000_000, 4_000_000_000
@@ -93,19 +95,63 @@ def read_encounters(path: Path, *, kernels: KernelsKind | None = None) -> Encoun
     return make_encounter_table(t_start_ns=start, t_end_ns=end, id1=id1, id2=id2)
 
 
-def read_modes(path: Path) -> tuple[ModeSpell, ...]:
+def read_modes(path: Path, *, number_of: Callable[[str], int | None] | None = None) -> tuple[ModeSpell, ...]:
     """Read a file with the columns ``t_start_s,t_end_s,id,mode,cause``; an empty ``t_end_s`` is a spell that lasts.
+
+    Parameters
+    ----------
+    number_of
+        Gives the number of an id where ids are names; spells of ids that have none are left out. None takes whole numbers alone.
 
     Raises
     ------
     InputFileError
         As for `read_encounters`.
     """
-    return tuple(_read_rows(path, _read_bytes(path), columns=MODE_COLUMNS, parse=_parse_spell))
+    parse = _parse_spell if number_of is None else partial(_parse_spell, number_of=number_of)
+    spells = _read_rows(path, read_bytes(path), columns=MODE_COLUMNS, parse=parse)
+    return tuple(spell for spell in spells if spell is not None)
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a file whole; the name ``-`` is standard input.
+
+    Raises
+    ------
+    InputFileError
+        It cannot be read, or is longer than ``MAX_FILE_BYTES``.
+    """
+    try:
+        with (_STANDARD_INPUT if path == Path("-") else path).open("rb") as file:
+            status = os.fstat(file.fileno())
+            is_regular = stat.S_ISREG(status.st_mode)
+            is_too_long = is_regular and status.st_size > MAX_FILE_BYTES
+            # A number of bytes to read takes room for all of them first, so it is given where the size is not known alone.
+            data = b"" if is_too_long else file.read(-1 if is_regular else MAX_FILE_BYTES + 1)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputFileError(path=str(path), faults=[f"cannot be read: {reason}; give the path of a CSV file"]) from error
+    except ValueError as error:
+        raise InputFileError(path=repr(str(path)), faults=[f"cannot be read: {error}"]) from error
+    if is_too_long or len(data) > MAX_FILE_BYTES:
+        raise InputFileError(path=str(path), faults=[f"is longer than {MAX_FILE_BYTES} bytes; split it by time"])
+    return data
+
+
+def check_text(path: Path, data: bytes) -> None:
+    """See that a file is UTF-8 without NUL.
+
+    Raises
+    ------
+    InputFileError
+        It is something else; the line is named.
+    """
+    if not _is_text(data):
+        _decode(path, data)
 
 
 def _read_columns(path: Path, kernels: KernelsKind | None) -> tuple[IntArray, ...]:
-    data = _read_bytes(path)
+    data = read_bytes(path)
     columns = _read_plain_rows(path, data, kernels)
     if columns is None:
         rows = _read_rows(path, data, columns=ENCOUNTER_COLUMNS, parse=_parse_encounter)
@@ -157,24 +203,6 @@ def _read_rows(path: Path, data: bytes, *, columns: Sequence[str], parse: Callab
     if faults.count:
         raise InputFileError(path=str(path), faults=faults.shown, n_faults=faults.count)
     return parsed
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        with (_STANDARD_INPUT if path == Path("-") else path).open("rb") as file:
-            status = os.fstat(file.fileno())
-            is_regular = stat.S_ISREG(status.st_mode)
-            is_too_long = is_regular and status.st_size > _MAX_FILE_BYTES
-            # A number of bytes to read takes room for all of them first, so it is given where the size is not known alone.
-            data = b"" if is_too_long else file.read(-1 if is_regular else _MAX_FILE_BYTES + 1)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputFileError(path=str(path), faults=[f"cannot be read: {reason}; give the path of a CSV file"]) from error
-    except ValueError as error:
-        raise InputFileError(path=repr(str(path)), faults=[f"cannot be read: {error}"]) from error
-    if is_too_long or len(data) > _MAX_FILE_BYTES:
-        raise InputFileError(path=str(path), faults=[f"is longer than {_MAX_FILE_BYTES} bytes; split it by time"])
-    return data
 
 
 def _decode(path: Path, data: bytes) -> str:
@@ -244,12 +272,15 @@ def _parse_encounter(row: Mapping[str, str]) -> tuple[int, int, int, int]:
     return start, end, first, second
 
 
-def _parse_spell(row: Mapping[str, str]) -> ModeSpell:
+def _parse_spell(row: Mapping[str, str], number_of: Callable[[str], int | None] | None = None) -> ModeSpell | None:
     start = _time_ns(row, "t_start_s")
     end = _time_ns(row, "t_end_s") if row["t_end_s"] else None
     if end is not None and end < start:
         raise _FieldError(f"t_end_s {row['t_end_s']} is before t_start_s {row['t_start_s']}")
-    node, mode, cause = _node(row, "id"), _member(row, "mode", Mode), _member(row, "cause", Cause)
+    node = _node(row, "id") if number_of is None else number_of(row["id"])
+    mode, cause = _member(row, "mode", Mode), _member(row, "cause", Cause)
+    if node is None:
+        return None
     return ModeSpell(node=NodeId(node), t_start_ns=start, t_end_ns=end, mode=mode, cause=cause)
 
 

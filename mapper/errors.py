@@ -85,9 +85,9 @@ class OutOfMemoryError(MapError):
 class UnknownBiobotError(MapError):
     """None of the biobots named as stationary is in any encounter."""
 
-    def __init__(self, *, ids: Sequence[int]) -> None:
+    def __init__(self, *, ids: Sequence[int | str]) -> None:
         named = ", ".join(map(str, ids))
-        super().__init__(f"no encounter has a biobot of --stationary {named}; compare the ids with columns id1 and id2")
+        super().__init__(f"no encounter has a biobot of --stationary {named}; compare the ids with the columns of ids")
         self.ids = tuple(ids)
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from firmware_protocol.contract.announcements import GatewayEvent, NeighbourReport
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction
 from firmware_protocol.contract.presence import Kind, Token
 from firmware_protocol.contract.records import Cause, GatewayStatus, Mode, ModeRecord, NodeStatus
 from firmware_protocol.units import RSSI_UNKNOWN, NodeId
@@ -16,6 +17,11 @@ _MAX_BIOBOTS = 65_536
 _MAX_GATEWAYS = 1_024
 _MAX_RADIOS = 256
 _KEPT_EVENTS = 200
+_HALTED_FROM_NS, _HALTED_TO_NS = -1_000_000_000, 30_000_000_000
+"""A biobot that a stop of all halts stands from about that moment on, or when one of its repetitions has come; the clocks of backpacks are
+fitted."""
+_MAX_HEARERS = 32
+"""Gateways of one biobot that are remembered."""
 
 _ValueT = TypeVar("_ValueT")
 
@@ -39,11 +45,13 @@ class BiobotView:
     firmware: int | None = None
     n_neighbours: int | None = None
     n_encounters: int = 0
+    is_halted: bool = False
+    """It was told to stand still by a stop of all."""
 
     @property
     def is_landmark(self) -> bool:
-        """Say whether it was told to stand still."""
-        return self.mode is Mode.S and self.cause is Cause.COMMAND
+        """Say whether it was told to stand still, and not because all were."""
+        return self.mode is Mode.S and self.cause is Cause.COMMAND and not self.is_halted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +83,9 @@ class Fleet:
     _gateways: dict[str, _Gateway] = field(default_factory=dict)
     _nodes: dict[NodeId, NodeStatus] = field(default_factory=dict)
     _modes: dict[NodeId, ModeRecord] = field(default_factory=dict)
+    _hearers: dict[NodeId, dict[str, None]] = field(default_factory=dict)
+    _all_stopped_ns: dict[str, int] = field(default_factory=dict)
+    """By gateway when it last stopped all, on its wall clock."""
     _neighbours: dict[NodeId, NeighbourReport] = field(default_factory=dict)
     _n_encounters: Mapping[NodeId, int] = field(default_factory=dict)
     _shifts_ns: Mapping[str, int] = field(default_factory=dict)
@@ -102,6 +113,7 @@ class Fleet:
 
     def take_node_status(self, status: NodeStatus) -> None:
         """Note a biobot's state, unless a newer one is known."""
+        self._note_hearer(status.node, status.gateway)
         known = self._nodes.get(status.node)
         if known is None or self._heard_ns(status) >= self._heard_ns(known):
             self._put(self._nodes, status.node, status)
@@ -113,9 +125,15 @@ class Fleet:
     def take_modes(self, records: Iterable[ModeRecord]) -> None:
         """Learn of biobots from records: after a restart they are known before they speak again."""
         for record in records:
+            self._note_hearer(record.node, record.gateway)
             known = self._modes.get(record.node)
             if known is None or self._began_ns(record) >= self._began_ns(known):
                 self._put(self._modes, record.node, record)
+
+    def take_stage(self, stage: CommandStage) -> None:
+        """Learn of stops of all: whom they halt is no landmark."""
+        if stage.action is StimulationAction.STOP_ALL and stage.stage is Stage.ACCEPTED and stage.gateway in self._gateways:
+            self._all_stopped_ns[stage.gateway] = stage.wall_ns
 
     def set_encounter_counts(self, n_encounters_of: Mapping[NodeId, int]) -> None:
         """Set how many encounters each biobot has."""
@@ -130,6 +148,11 @@ class Fleet:
         if node in self._nodes:
             return self._nodes[node].gateway
         return self._modes[node].gateway if node in self._modes else None
+
+    def hearers_of(self, node: NodeId) -> list[str]:
+        """Name the gateways that have spoken of a biobot, the one that heard it last first."""
+        last = self.gateway_of(node)
+        return [] if last is None else list(dict.fromkeys([last, *self._hearers.get(node, {})]))
 
     def gateways(self, *, now_ns: int) -> list[GatewayView]:
         """List all gateways by name."""
@@ -174,6 +197,7 @@ class Fleet:
                 cause=record.cause,
                 n_neighbours=n_neighbours,
                 n_encounters=self._n_encounters.get(node, 0),
+                is_halted=self._is_halted(node),
             )
         return BiobotView(
             node=node,
@@ -191,7 +215,15 @@ class Fleet:
             firmware=status.firmware,
             n_neighbours=n_neighbours,
             n_encounters=self._n_encounters.get(node, 0),
+            is_halted=self._is_halted(node),
         )
+
+    def _is_halted(self, node: NodeId) -> bool:
+        spell = self._modes.get(node)
+        stopped_ns = None if spell is None else self._all_stopped_ns.get(spell.gateway)
+        if spell is None or stopped_ns is None or spell.mode is not Mode.S or spell.cause is not Cause.COMMAND:
+            return False
+        return _HALTED_FROM_NS <= spell.t_start_ns + spell.wall_anchor_ns - stopped_ns <= _HALTED_TO_NS
 
     def _heard_ns(self, status: NodeStatus) -> int:
         return status.last_heard_wall_ns + self._shifts_ns.get(status.gateway, 0)
@@ -212,6 +244,11 @@ class Fleet:
             self.n_ignored += 1
             return None
         return self._gateways.setdefault(name, _Gateway())
+
+    def _note_hearer(self, node: NodeId, gateway: str) -> None:
+        hearers = self._hearers.get(node, {})
+        if gateway not in hearers and len(hearers) < _MAX_HEARERS:
+            self._put(self._hearers, node, {**hearers, gateway: None})
 
     def _put(self, table: dict[NodeId, _ValueT], node: NodeId, value: _ValueT) -> None:
         if node not in table and len(table) >= _MAX_BIOBOTS:

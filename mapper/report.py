@@ -1,14 +1,16 @@
 """A finished map as a JSON object for programs, and as a summary for a person. Nothing in the JSON is nan or infinite."""
 
+from collections.abc import Mapping
 from math import isfinite
 
-from mapper.types import BettiRule, ComponentMap, FloatArray, MapResult, Recipe
+from mapper.types import BettiRule, ComponentMap, FloatArray, MapResult, Recipe, Standing, StandingSource
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 JsonObject = dict[str, JsonValue]
 
 _NS_PER_S = 1e9
 _LISTED_INTERVALS = 5
+_LISTED_NODES = 12
 
 
 def to_json_object(result: MapResult) -> JsonObject:
@@ -21,9 +23,15 @@ def to_json_object(result: MapResult) -> JsonObject:
         coordinates, time [s] and biobots; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth, death,
         component, and ``confidence`` null until it is known; ``complex`` (edges and triangles as indices of points); ``components`` (those
         mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``, ``n_used``,
-        ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``.
+        ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source, reason; null but for a file)
+        and ``assumptions`` (name, holds, text). Ids are numbers, or the names that the log has for them.
     """
     points = result.points
+    names = result.node_names
+
+    def name(number: int) -> int | str:
+        return names.get(number, number)
+
     xy = [[float(x), float(y)] for x, y in zip(points.x, points.y, strict=True)]
     rows = zip(xy, points.t_ns.tolist(), points.id1.tolist(), points.id2.tolist(), points.component.tolist(), strict=True)
     return {
@@ -33,7 +41,7 @@ def to_json_object(result: MapResult) -> JsonObject:
             for dimension in (0, 1)
         },
         "points": [
-            {"x": place[0], "y": place[1], "t": t_ns / _NS_PER_S, "id1": id1, "id2": id2, "component": component}
+            {"x": place[0], "y": place[1], "t": t_ns / _NS_PER_S, "id1": name(id1), "id2": name(id2), "component": component}
             for place, t_ns, id1, id2, component in rows
         ],
         "holes": [
@@ -56,6 +64,8 @@ def to_json_object(result: MapResult) -> JsonObject:
         "lost_spectrum": result.lost_spectrum,
         "parameters": _parameters(result.recipe, length_unit=result.length_unit),
         "warnings": list(result.warnings),
+        "stationary": None if result.standing is None else _standing(result.standing, names),
+        "assumptions": [{"name": one.name, "holds": one.holds, "text": one.text} for one in result.assumptions],
     }
 
 
@@ -83,7 +93,23 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
     longest = ", ".join(
         f"{birth:.4g}-{death:.4g}" for part in result.components for birth, death in part.intervals[1][:_LISTED_INTERVALS].tolist()
     )
-    return "\n".join([*lines, f"longest loops  {longest or 'none'} [{unit}]"])
+    lines.append(f"longest loops  {longest or 'none'} [{unit}]")
+    if result.standing is not None:
+        lines.append(f"stand still    {_named(result.standing, result.node_names)}: {result.standing.reason}")
+    broken = [one.text for one in result.assumptions if one.holds is False]
+    return "\n".join([*lines, *([] if not broken else ["what cannot be concluded:", *(f"- {text}" for text in broken)])])
+
+
+def _standing(standing: Standing, names: Mapping[int, str]) -> JsonObject:
+    ids: list[JsonValue] = [names.get(node, node) for node in standing.nodes]
+    return {"ids": ids, "source": str(standing.source), "reason": standing.reason}
+
+
+def _named(standing: Standing, names: Mapping[int, str]) -> str:
+    if not standing.nodes:
+        return "as the modes say" if standing.source is StandingSource.MODES else "nobody is known to"
+    listed = [names.get(node, str(node)) for node in standing.nodes[:_LISTED_NODES]]
+    return ", ".join(listed) + (f" and {len(standing.nodes) - _LISTED_NODES} more" if len(standing.nodes) > _LISTED_NODES else "")
 
 
 def _component(part: ComponentMap, index: int) -> JsonObject:

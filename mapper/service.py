@@ -3,6 +3,7 @@
 import argparse
 import asyncio
 import contextlib
+import gc
 import ipaddress
 import os
 import secrets
@@ -139,6 +140,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         watch = ConnectionWatch(is_connected=lambda: bus.is_connected, connect=serve.connect, tls=config.tls, facts=facts)
         changes, fleet = Changes(), Fleet()
         log, accounts = CommandLog(changes=changes), StimulationAccounts()
+        log.listen(fleet.take_stage)
         intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=log, accounts=accounts)
         watermarks = Watermarks(bus=bus, records=records, name=name)
         commander = Commander(bus=bus, name=name)
@@ -249,6 +251,8 @@ async def _announce(
     server: _Server, listener: socket.socket, manager: ServiceManager, *, serve: ServiceConfig, url_file: Path | None
 ) -> None:
     await server.is_up.wait()
+    gc.collect()
+    gc.freeze()  # what was imported is searched for cycles no more: no stop goes out meanwhile
     url = _url(listener)
     manager.tell(f"map and operator page: {url}")
     manager.ready()

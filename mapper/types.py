@@ -4,7 +4,8 @@ Every class is frozen; arrays in them are read-only. Kernels count time in *tick
 ``(t_start + t_end) / 2`` of an encounter is then a whole number; finished results are in seconds, or in metres where a speed is given.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TypeVar
 
@@ -195,13 +196,42 @@ class Hole:
     outline: IntArray
 
 
+class StandingSource(StrEnum):
+    """Who said which nodes stand still: a person, their modes, the name of their column, the encounters; or nobody."""
+
+    GIVEN = "given"
+    MODES = "modes"
+    COLUMN = "column"
+    FOUND = "found"
+    NONE = "none"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """The nodes taken to stand still all the time, ascending, and why; those of ``MODES`` stand in their spells and are not listed."""
+
+    nodes: tuple[int, ...]
+    source: StandingSource
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Assumption:
+    """Something that a map rests on: whether it holds, None where that cannot be seen, and what follows, for a person."""
+
+    name: str
+    holds: bool | None
+    text: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapResult:
     """A finished map.
 
     ``components`` are those that were mapped, the largest first; ``n_components`` counts all there are. ``edges`` (e, 2) and ``triangles``
     (t, 3) are indices of points: the Rips complex of each component at its ``epsilon``. ``diameter`` is the largest of
-    any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m".
+    any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m". ``node_names`` are what the log calls its nodes, empty where
+    they are numbers. ``standing`` and ``assumptions`` are of maps of a file.
     """
 
     betti_numbers: tuple[int, int]
@@ -218,6 +248,9 @@ class MapResult:
     length_unit: str
     recipe: Recipe
     warnings: tuple[str, ...]
+    node_names: Mapping[int, str] = field(default_factory=dict)
+    standing: Standing | None = None
+    assumptions: tuple[Assumption, ...] = ()
 
 
 def read_only(array: ArrayT) -> ArrayT:

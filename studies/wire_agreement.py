@@ -209,7 +209,7 @@ class _LinkPair:
             case Say(payload=payload, is_urgent=is_urgent):
                 self._n_sent += 1
                 if self._c.send(payload, tag=self._n_sent & 0xFFFF, is_urgent=is_urgent):
-                    self._python.send(payload, is_urgent=is_urgent, **now)
+                    self._python.send(payload, now_ns=now["now_ns"], is_urgent=is_urgent)
                 else:
                     self._n_sent -= 1
             case Confirm(but=but):

@@ -68,7 +68,7 @@ class StimulationRequest(Struct, frozen=True, kw_only=True):
     ttl_ms: Annotated[int, msgspec.Meta(ge=1, le=60_000)] = 5_000
     hold_ms: Annotated[int, msgspec.Meta(ge=0, le=3_600_000)] = 0
     commander: _Name = ""
-    """Whose liveliness token ``commanders/{name}`` must be there as long as the motion lasts; empty: nobody's."""
+    """Whose liveliness token ``commanders/{name}`` must be there as long as the motion lasts, which then has a hold; empty: nobody's."""
     pulse: PulseRequest | None = None
 
 
@@ -109,6 +109,8 @@ class Refusal(Enum):
     """A stop came before it was sent."""
     NO_COMMANDER = "no_commander"
     """The commander that it names is not there."""
+    NO_HOLD = "no_hold"
+    """It names a commander, and no hold: its biobot would walk on where nobody reaches it."""
     STOPPING = "stopping"
     """The gateway is about to end."""
 

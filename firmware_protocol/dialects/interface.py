@@ -126,10 +126,11 @@ class Host(Protocol):
         ...
 
     def send(self, *, destination: ShortAddress, payload: bytes, now_ns: int, is_urgent: bool = False) -> int:
-        """Queue a radio payload and return its ticket; an urgent one goes ahead of all that has not been written.
+        """Queue a radio payload and return its ticket.
 
-        Every ticket ends in one ``SendSettled`` or in the ``dropped`` of a ``HostLost``, or the dongle never says (the caller has its own
-        patience, and calls ``forget``).
+        An urgent one goes ahead of all that has not been written, and an urgent broadcast of urgent ones too. Every ticket ends in one
+        ``SendSettled`` or in the ``dropped`` of a ``HostLost``, or the dongle never says (the caller has its own patience, and calls
+        ``forget``).
 
         Raises
         ------

@@ -46,7 +46,7 @@ from firmware_protocol.link import (
     Role,
 )
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD
-from firmware_protocol.units import ShortAddress
+from firmware_protocol.units import BROADCAST, ShortAddress
 
 _WINDOW = 4
 """DATA frames in flight towards the dongle: few, so that an urgent one does not stand behind many on the line. It waits for none of them:
@@ -131,7 +131,8 @@ class NativeHost:
             raise EncodeError(field="radio payload size", value=len(payload), limit=f"at most {MAX_RADIO_PAYLOAD} bytes")
         handle = self._take_handle()
         body = encode_envelope(RadioSend(handle=handle, destination=destination, payload=payload))
-        ticket = self._link.send(body, now_ns=now_ns, is_urgent=is_urgent)
+        is_first = is_urgent and destination == BROADCAST
+        ticket = self._link.send(body, now_ns=now_ns, is_urgent=is_urgent, is_first=is_first)
         self._pending[handle] = ticket
         return ticket
 

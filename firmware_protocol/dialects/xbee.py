@@ -52,7 +52,7 @@ from firmware_protocol.errors import EncodeError
 from firmware_protocol.framing.interface import FrameDecoder, FrameFault
 from firmware_protocol.framing.xbee import encode_frame, make_decoder
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD
-from firmware_protocol.units import NS_PER_S, RSSI_UNKNOWN, RssiDbm, ShortAddress
+from firmware_protocol.units import BROADCAST, NS_PER_S, RSSI_UNKNOWN, RssiDbm, ShortAddress
 
 _LQI_UNKNOWN = 0
 
@@ -335,7 +335,10 @@ class XBeeHost:
                 frame_id=frame_id, destination64=where[0], destination16=where[1], payload=sending.payload, endpoints=self._config.endpoints
             )
             frame = encode_frame(encode_xbee(request), is_escaped=self._is_escaped)
-            if sending.is_urgent:
+            if sending.is_urgent and sending.destination == BROADCAST:
+                self._launched.appendleft((frame_id, frame))
+                self._n_urgent_launched += 1
+            elif sending.is_urgent:
                 self._launched.insert(self._n_urgent_launched, (frame_id, frame))
                 self._n_urgent_launched += 1
             else:

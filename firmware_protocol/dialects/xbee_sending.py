@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.units import NS_PER_S, ShortAddress
+from firmware_protocol.units import BROADCAST, NS_PER_S, ShortAddress
 
 WINDOW = 4
 """Transmit requests without a status: a module has few buffers. An urgent payload waits for no window, because those in flight may be for
@@ -66,7 +66,10 @@ class Sendings:
         ticket = self._next_ticket
         self._next_ticket += 1
         sending = Sending(ticket=ticket, destination=destination, payload=payload, is_urgent=is_urgent)
-        (self._urgent if is_urgent else self._waiting).append(sending)
+        if is_urgent and destination == BROADCAST:
+            self._urgent.appendleft(sending)
+        else:
+            (self._urgent if is_urgent else self._waiting).append(sending)
         return ticket
 
     @property

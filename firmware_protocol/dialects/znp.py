@@ -1,10 +1,11 @@
 """The Z-Stack dialect from the base station's end: a ZigBee network processor that speaks MT (WIRE_FORMAT.md §9).
 
 An opening (``znp_opening``) makes the dongle a coordinator; from then on payloads go to and come from one endpoint of a profile of our own.
-One synchronous request is outstanding at a time, and up to two urgent payloads on top of it: its answer may stand behind much that the
-dongle has to say. A request that is not answered makes the next one a ping, and until that is answered no other answer counts: the dongle
-answers in order, so an answer that is late can never be taken for another's; an opening then begins anew, with a ping as it always does. A
-payload is never written twice. Three silences in a row are the end. Every few seconds the dongle is asked whether it still has its network.
+One synchronous request is outstanding at a time, and up to two urgent payloads and an urgent broadcast on top of it: its answer may stand
+behind much that the dongle has to say. A request that is not answered makes the next one a ping, and until that is answered no other answer
+counts: the dongle answers in order, so an answer that is late can never be taken for another's; an opening then begins anew, with a ping as
+it always does. A payload is never written twice. Three silences in a row are the end. Every few seconds the dongle is asked whether it
+still has its network.
 """
 
 from collections import Counter, deque
@@ -53,8 +54,8 @@ _N_SILENCES = 3
 _PERMIT_NS = 200 * NS_PER_S
 """How often a network that is to stay open is opened again: Z-Stack closes it after 254 s at most."""
 _MAX_ON_TOP = 2
-"""Urgent payloads that are written though a request waits for its answer, which may stand behind much that the dongle has to say: they fit
-into the smallest buffer of a chip's serial line, 128 octets, beside one another."""
+"""Urgent payloads that are written though a request waits for its answer, which may stand behind much that the dongle has to say. A
+broadcast may be one more: three stops, of 41 octets each, fit into the smallest buffer of a chip's serial line, 128 octets."""
 _BACK_OFF_NS = 100 * NS_PER_MS
 """How long nothing is written to a dongle that had no room."""
 
@@ -256,7 +257,9 @@ class ZnpHost:
 
     def _write_next(self, now_ns: int) -> None:
         """Write the next payload, where there is one and the dongle is ready for it; and urgent ones on top of a request."""
-        while self.is_open and (self._outstanding is None or (self._window.has_urgent and len(self._on_top) < _MAX_ON_TOP)):
+        while self.is_open and (
+            self._outstanding is None or (self._window.has_urgent and len(self._on_top) < _MAX_ON_TOP + self._window.is_broadcast_next)
+        ):
             next_one = self._window.take(now_ns)
             if next_one is None:
                 return

@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from firmware_protocol.errors import LinkFullError
-from firmware_protocol.units import NS_PER_S, ShortAddress
+from firmware_protocol.units import BROADCAST, NS_PER_S, ShortAddress
 
 MAX_QUEUE = 256
 """Payloads that wait to be written; more are refused."""
@@ -66,6 +66,11 @@ class SendWindow:
         """An urgent one does."""
         return bool(self._urgent)
 
+    @property
+    def is_broadcast_next(self) -> bool:
+        """The next urgent one is for everybody."""
+        return bool(self._urgent) and self._urgent[0].destination == BROADCAST
+
     def add(self, *, destination: ShortAddress, payload: bytes, is_urgent: bool) -> int:
         """Queue a payload and return its ticket.
 
@@ -78,7 +83,11 @@ class SendWindow:
             raise LinkFullError(limit=MAX_QUEUE)
         ticket = self._next_ticket
         self._next_ticket += 1
-        (self._urgent if is_urgent else self._unsent).append(Unsent(ticket, destination, payload))
+        one = Unsent(ticket, destination, payload)
+        if is_urgent and destination == BROADCAST:
+            self._urgent.appendleft(one)
+        else:
+            (self._urgent if is_urgent else self._unsent).append(one)
         return ticket
 
     def forget(self, ticket: int) -> None:

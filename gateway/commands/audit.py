@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from gateway.commands.audit_lines import COLUMNS, DOSE_HEAD, dose_line, line_of, shown, table_row
+from gateway.commands.audit_lines import COLUMNS, DOSE_HEAD, dose_line, escaped, line_of, shown, table_row
 from gateway.commands.journal import instant
 from gateway.commands.outcome import DONE, FAILED, complain, progress
 from gateway.errors import JournalUnfitError
@@ -19,6 +19,7 @@ from gateway.journal_file import (
     AuditSelection,
     UnreadableRow,
     expect_journal,
+    read_audit_kinds,
     read_audit_rows,
     read_doses,
     verify_audit_of,
@@ -63,10 +64,12 @@ def audit(options: argparse.Namespace) -> int:
             case "verify":
                 with progress() as tell:
                     return _verify(path, witness=options.head or "", tell=tell)
-            case "show":
+            case "show" if options.follow or _has_kind(path, options.kind):
                 return _show(path, _selection(options), is_json=options.json, follows=options.follow)
-            case "export":
+            case "export" if _has_kind(path, options.kind):
                 return _export(path, _selection(options), csv=options.csv, json_lines=options.json)
+            case "show" | "export":
+                return FAILED
             case _:
                 return _print_doses(path, is_json=options.json)
     except sqlite3.Error as error:
@@ -135,6 +138,16 @@ def _print_doses(path: Path, *, is_json: bool) -> int:
     for dose in doses:
         print(dose_line(dose))
     return DONE
+
+
+def _has_kind(path: Path, kind: str | None) -> bool:
+    """Whether there is a row of a kind; where there is none, say which kinds there are."""
+    kinds = [] if kind is None else read_audit_kinds(path)
+    if kind is None or kind in kinds:
+        return True
+    there = ", ".join(map(escaped, kinds)) or "no row at all"
+    complain(f"audit log of {path}: no row is of kind {escaped(kind)!r}; there is {there} (docs/audit.md)")
+    return False
 
 
 def _selection(options: argparse.Namespace) -> AuditSelection:

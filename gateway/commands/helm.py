@@ -101,16 +101,25 @@ class Helm:
             self.wait(_STOP_S, until=lambda: self.steering.has_ended)
 
 
-def follow_script(helm: Helm, steps: list[Step]) -> None:
-    """Take one step after the other; each lasts as long as it says, and until it is known what became of it."""
+def follow_script(helm: Helm, steps: list[Step]) -> int:
+    """Take one step after the other; each lasts as long as it says, and until it is known what became of it.
+
+    Returns
+    -------
+    int
+        How many steps the biobot did not confirm: refused, failed, or nobody knows. Those that an interruption left out are none of them.
+    """
     is_interrupted = helm.interrupted.is_set
+    n_undone = 0
     for step in steps:
         if is_interrupted():
-            return
+            break
         begun_s = time.monotonic()
         helm.send(step.action, at_least_s=step.wait_s + 1.0)
         helm.wait(_STOP_S, until=lambda: helm.steering.has_ended or is_interrupted())
+        n_undone += not helm.steering.is_confirmed
         helm.wait(step.wait_s - (time.monotonic() - begun_s), until=is_interrupted)
+    return n_undone
 
 
 def follow_keys(helm: Helm) -> None:

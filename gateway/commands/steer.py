@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def steer(options: argparse.Namespace) -> int:
-    """Move a biobot until the script or the operator ends, and stop it; the exit status is 0 only where it confirmed that it stopped."""
+    """Move a biobot until the script or the operator ends, and stop it; exit status 0: it confirmed that, and each step of the script."""
     from gateway.bus_commander import CommanderSession  # noqa: PLC0415  # rich and Zenoh, 33 MB, which --help does not need
     from gateway.commands.helm import Helm, follow_keys, follow_script, signals_interrupt  # noqa: PLC0415  # same
 
@@ -50,16 +50,19 @@ def steer(options: argparse.Namespace) -> int:
                 session, node=node, operator=options.operator, hold_s=options.hold_s, is_shown=steps is None, interrupted=interrupted
             )
             try:
+                n_undone = 0
                 if steps is None:
                     follow_keys(helm)
                 else:
-                    follow_script(helm, steps)
+                    n_undone = follow_script(helm, steps)
             finally:
                 helm.stop_finally()
         finally:
             session.close()
     if helm.steering.is_moving:
         return complain(f"biobot {node} has not confirmed that it stopped: look at the animal", status=FAILED)
+    if steps is not None and n_undone:
+        return complain(f"{n_undone} of {len(steps)} steps were not confirmed; their last stages say why", status=FAILED)
     return DONE
 
 

@@ -1,7 +1,15 @@
 """The journal's file: segments of records and reports in SQLite, written by one gateway and read by anybody (docs/journal.md)."""
 
 from gateway.journal_file.audit_chain import ChainHead
-from gateway.journal_file.audit_reading import AuditSelection, Dose, UnreadableRow, read_audit_rows, read_doses, verify_audit_of
+from gateway.journal_file.audit_reading import (
+    AuditSelection,
+    Dose,
+    UnreadableRow,
+    read_audit_kinds,
+    read_audit_rows,
+    read_doses,
+    verify_audit_of,
+)
 from gateway.journal_file.audit_verify import AuditFindings
 from gateway.journal_file.description import describe_journal, expect_fit_to_open, expect_journal
 from gateway.journal_file.file import PROGRESS, SESSIONS_PER_START, JournalFile, open_journal_file
@@ -43,6 +51,7 @@ __all__ = [
     "expect_journal",
     "newest_offset",
     "open_journal_file",
+    "read_audit_kinds",
     "read_audit_rows",
     "read_doses",
     "verify_audit_of",

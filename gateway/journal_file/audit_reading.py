@@ -28,8 +28,9 @@ told AS (
 SELECT node, sum(is_given), sum(train_ms * is_given), max(CASE WHEN is_given THEN wall_ns END), sum(kind = 'stage' AND stage = 'accepted'),
   sum(kind = 'stage' AND stage = 'biobot_confirmed'), sum(kind = 'stage' AND stage = 'refused'), sum(kind = 'stage' AND stage = 'failed'),
   sum(kind = 'stage' AND stage = 'unknown')
-FROM told GROUP BY node ORDER BY node"""
-"""A train counts from when it is admitted, unless a later row of its command says that it never left."""
+FROM told GROUP BY node HAVING sum(kind = 'stage' AND stage = 'accepted') OR node IN (SELECT node FROM nodes) ORDER BY node"""
+"""A train counts from when it is admitted, unless a later row of its command says that it never left. A number that no biobot has, and that
+somebody has commanded in vain, is left out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +87,12 @@ def read_audit_rows(path: Path, selection: AuditSelection, *, after: int = 0) ->
                     yield entry_of(row)
                 except (msgspec.ValidationError, TypeError) as error:
                     yield UnreadableRow(id=row[0], reason=str(error))
+
+
+def read_audit_kinds(path: Path) -> list[str]:
+    """Return the kinds of rows that there are, in order; raises ``sqlite3.Error``."""
+    with contextlib.closing(_open(path)) as connection:
+        return [kind for (kind,) in connection.execute("SELECT DISTINCT kind FROM audit ORDER BY kind")]
 
 
 def read_doses(path: Path) -> list[Dose]:

@@ -51,9 +51,10 @@ def admit(request: StimulationRequest, *, table: StimulationTable, ledger: Train
         return unknown_biobot(request)
     refused = (
         _why_unfit(node)
-        or _why_unable(node, request.action)
+        or why_unable(node, request.action)
         or _why_late(request, table=table, now_wall_ns=so.now_wall_ns)
         or (_OVERTAKEN if so.is_overtaken else None)
+        or _why_endless(request)
         or why_unattended(request, is_stopping=so.is_stopping, is_commander_there=so.is_commander_there)
         or _why_unrecorded(so)
         or _why_too_many(so)
@@ -61,8 +62,9 @@ def admit(request: StimulationRequest, *, table: StimulationTable, ledger: Train
     if refused is not None:
         return refused
     pulse = pulse_of(request.pulse, table, is_bare=request.action is StimulationAction.FOLLOW_WALLS)
-    if pulse.duration_ms == 0 and request.action in _TURNS:
-        return Refused(refusal=Refusal.PULSE, reason="a turn without a train is none: duration_ms is 0; ask for 1 ms or more")
+    if request.action in _TURNS and not (pulse.duration_ms and pulse.amplitude_mv):
+        what, unit = ("amplitude_mv", "mV") if pulse.duration_ms else ("duration_ms", "ms")
+        return Refused(refusal=Refusal.PULSE, reason=f"a turn without a train is none: {what} is 0; ask for 1 {unit} or more")
     refused = pulse_refusal(pulse, table=table, limits=node.limits)
     refused = refused or ledger.refusal(node.node, train_ms=pulse.duration_ms, now_ns=so.now_ns, announced=node.limits)
     return refused or pulse
@@ -84,6 +86,16 @@ def why_unattended(request: StimulationRequest, *, is_stopping: bool, is_command
     return None
 
 
+def _why_endless(request: StimulationRequest) -> Refused | None:
+    if not request.commander or request.hold_ms:
+        return None
+    reason = (
+        f"it has a commander ({request.commander!r}) and hold_ms is 0: a backpack that nobody reaches would never stop by itself; "
+        "give hold_ms of 1 or more, as 10000, and give the command anew before that is over"
+    )
+    return Refused(refusal=Refusal.NO_HOLD, reason=reason)
+
+
 def remaining_ms(request: StimulationRequest, *, now_wall_ns: int) -> int:
     """Return how much of a command's time to live is left [ms]; one from the future has all of it."""
     age_ms = (now_wall_ns - request.issued_wall_ns) // NS_PER_MS
@@ -102,7 +114,8 @@ def _why_unfit(node: Node) -> Refused | None:
     return None
 
 
-def _why_unable(node: Node, action: StimulationAction) -> Refused | None:
+def why_unable(node: Node, action: StimulationAction) -> Refused | None:
+    """Return why a biobot cannot be sent along walls: its backpack has not said since its start that it can."""
     if action is not StimulationAction.FOLLOW_WALLS or (node.is_introduced and node.capabilities & Capability.FOLLOW_WALLS):
         return None
     why = "its backpack does not say that it can" if node.is_introduced else "its backpack has not said since its start what it can"

@@ -30,7 +30,7 @@ from gateway.stimulation.commands import Command, CommandBook, is_same
 from gateway.stimulation.effects import Effects
 from gateway.stimulation.guards import Guards
 from gateway.stimulation.ledger import Train, TrainLedger
-from gateway.stimulation.numbers import GATE, WireNumbers, was_killed
+from gateway.stimulation.numbers import GATE, WireNumbers, last_number, was_killed
 from gateway.stimulation.outside import AccountListener, AuditReader, CommandJournal, CommandListener, CommandSender, StageListener
 from gateway.stimulation.precedence import Precedence
 from gateway.stimulation.restoring import restore_stops, restore_trains
@@ -110,7 +110,7 @@ class StimulationGate:
         teller.listen_to_rows(self._account_for)
         self._answers = answers = AnswerKeeper(teller=teller, ledger=ledger, now_ns=now_ns)
         self._restore(instant_of)
-        last = reader.read_last_wire_command()
+        last = last_number(reader)
         self._numbers = WireNumbers(journal=journal, last=last, draw=new_number, now_ns=now_ns, wall_clock=wall_clock)
         guards = Guards(
             table=config,

@@ -5,6 +5,7 @@ the next process could not know which were used.
 """
 
 import asyncio
+import sqlite3
 from collections.abc import Callable
 
 import msgspec
@@ -12,7 +13,7 @@ import msgspec
 from gateway.errors import JournalFullError
 from gateway.journal_file import AuditEntry, JournalWrite
 from gateway.log import EventLog
-from gateway.stimulation.outside import CommandJournal
+from gateway.stimulation.outside import AuditReader, CommandJournal
 
 _log = EventLog(__name__)
 
@@ -27,6 +28,15 @@ _SKIPPED = 1 << 16
 
 _N_NUMBERS = 1 << 32
 _NO_FACTS = msgspec.msgpack.encode({})
+
+
+def last_number(reader: AuditReader) -> int | None:
+    """Return the last number on record; None where there is none, or where the journal does not say."""
+    try:
+        return reader.read_last_wire_command()
+    except sqlite3.Error as error:
+        _log.error("command.unread_journal", kind=GATE, reason=str(error))
+        return None
 
 
 class WireNumbers:

@@ -33,6 +33,14 @@ class CommandSender(Protocol):
         """Send, urgently, over each other radio that heard the biobot within the last minutes; never raises."""
         ...
 
+    def ways_to(self, node: NodeId) -> Sequence[str]:
+        """Return the radios that may reach a biobot: the one that heard it last, and each other that heard it within the last minutes."""
+        ...
+
+    def send_over(self, radio: str, node: NodeId, message: Stimulate) -> Sending:
+        """Send, urgently, over one of these radios."""
+        ...
+
     def send_to_all(self, message: Stimulate) -> Mapping[str, Sending]:
         """Send to everybody, urgently, over each radio that is up; never raises."""
         ...

@@ -11,7 +11,7 @@ from gateway.errors import RadioUnavailableError
 from gateway.nodes import NodeBook
 from gateway.radio import Fate, RadioOutcome
 from gateway.stimulation import frames
-from gateway.stimulation.admission import remaining_ms
+from gateway.stimulation.admission import remaining_ms, why_unable
 from gateway.stimulation.answers import AnswerKeeper
 from gateway.stimulation.commands import Command
 from gateway.stimulation.guards import Guards
@@ -121,15 +121,16 @@ class Stimuli:
         """Wait for radio and biobot, each until its deadline; a frame that is not written until ``unwritten_ns`` is taken back."""
         deadline_ns = sent_ns + self._radio_timeout_ns
         outcome: RadioOutcome | None = None
+        is_withdrawn = False
         while not command.reply.done() and not command.is_final:
             now_ns = self._now_ns()
             if outcome is None and not sending.done() and now_ns >= unwritten_ns:
-                self._sender.withdraw(sending)  # where it was not written, its fate is settled by that
+                is_withdrawn = self._sender.withdraw(sending)  # where it was not written, its fate is settled by that
                 unwritten_ns = deadline_ns
             if outcome is None and sending.done():
                 outcome = sending.result()
                 if outcome.fate is Fate.NOT_SENT:
-                    await self._end_unsent(command, outcome)
+                    await self._end_unsent(command, outcome, is_withdrawn=is_withdrawn)
                     return
                 deadline_ns = self._next_deadline_ns(outcome, deadline_ns=deadline_ns, now_ns=now_ns)
                 if outcome.fate is Fate.SENT:
@@ -147,14 +148,15 @@ class Stimuli:
         answer_ns = now_ns + int(self._table.reply_timeout_s * NS_PER_S)
         return answer_ns if outcome.fate is Fate.SENT else min(deadline_ns, answer_ns)
 
-    async def _end_unsent(self, command: Command, outcome: RadioOutcome) -> None:
+    async def _end_unsent(self, command: Command, outcome: RadioOutcome, *, is_withdrawn: bool) -> None:
         self._take_back(command)
         if command.is_overtaken:
             await self._teller.refuse(command, _OVERTAKEN)
         else:
-            self._teller.tell(
-                command, Stage.FAILED, reason=f"the dongle did not send it: {outcome.reason or 'its line took nothing in time'}"
-            )
+            why = f"it was taken back: the radio's line did not take it in time (at most {UNWRITTEN_S:g} s, and its time to live)"
+            if not is_withdrawn:
+                why = f"the dongle did not send it ({outcome.reason or 'it does not say why'})"
+            self._teller.tell(command, Stage.FAILED, reason=f"{why}; see how the radio is (`biobot-gateway status`), and give it anew")
 
     def _what_is_missing(self, outcome: RadioOutcome | None) -> str:
         reply_s, radio_s = self._table.reply_timeout_s, self._radio_timeout_ns / NS_PER_S
@@ -173,7 +175,9 @@ class Stimuli:
             return Refused(refusal=Refusal.JOURNAL, reason=reason)
         if ttl_ms <= 0:
             return Refused(refusal=Refusal.STALE, reason="it expired before it could be sent; give it a longer time to live")
-        return self._why_unattended(command.request)
+        node = self._nodes.find(command.request.node)
+        unable = None if node is None else why_unable(node, command.request.action)  # its backpack may have started anew since
+        return unable or self._why_unattended(command.request)
 
     def _announced(self, command: Command) -> Limits | None:
         node = self._nodes.find(command.request.node)

@@ -1,8 +1,9 @@
 """The stop of everybody: by broadcast over every radio at once, then biobot by biobot, until those within reach have confirmed.
 
 All of it has one number on the wire, so that a biobot that heard several of its frames obeys once. None has a train: the stimulation of a
-whole swarm is no way to end one. Those under controlled motion come first, and no more frames leave in a moment than queues can take: so of
-several stops of everybody the newest alone goes on from biobot to biobot. Those before it, which have told everybody too, end.
+whole swarm is no way to end one. Those under controlled motion come first, and each radio gets a next frame when it has sent one of those
+before: the broadcast of another stop waits for few of them. Of several stops of everybody the newest alone goes on from biobot to biobot.
+Those before it, which have told everybody too, end.
 """
 
 import asyncio
@@ -26,18 +27,16 @@ from gateway.stimulation.parts import stop_of
 from gateway.stimulation.pulses import pulse_of
 from gateway.stimulation.stops import Stops
 from gateway.stimulation.telling import StageTeller
+from gateway.stimulation.turns import Turns
 
 REACHABLE_NS = 300 * NS_PER_S
 """A biobot heard no longer ago than this is within reach: its confirmation is waited for."""
 
-TOGETHER = 8
-"""Frames that leave in one moment."""
+FRAME_S = 0.005
+"""What a frame is granted of a round's time: 200 a second, about what a ZigBee channel carries of unicasts with their acknowledgements."""
 
-PAUSE_S = 0.04
-"""Between two such moments: 200 frames a second, about what a ZigBee channel carries of unicasts with their acknowledgements."""
-
-_MADE_TOGETHER = 256
-_TOLD_TOGETHER = 64
+_MADE_TOGETHER = 32
+_TOLD_TOGETHER = 4
 _GIVEN_WAY = "a newer stop of all has taken its place; that one's is the answer"
 _SPARE_S = 1.0
 """Beside what the rounds take, until the last stage is told."""
@@ -71,12 +70,21 @@ class StopAll:
         self._now_ns = now_ns
         self._controlled = controlled
         self._newest: _Sweep | None = None
+        self._turns = Turns()
 
     async def run(self, whole: Command) -> None:
         """Take a stop of everybody to its last stage."""
-        sweep = _Sweep(whole=whole, table=self._table, sender=self._sender, teller=self._teller, answers=self._answers, now_ns=self._now_ns)
+        sweep = _Sweep(
+            whole=whole,
+            table=self._table,
+            sender=self._sender,
+            turns=self._turns,
+            teller=self._teller,
+            answers=self._answers,
+            now_ns=self._now_ns,
+        )
+        self._stops.overtake(whole)  # before it is sent: a port that takes it may take the next frame too
         sweep.broadcast()
-        self._stops.overtake(whole)
         sweep.begin(n_known=len(self._nodes))
         if self._newest is not None:
             self._newest.give_way()
@@ -98,6 +106,7 @@ class StopAll:
             if self._newest is sweep:
                 self._newest = None
             for part in sweep.parts:
+                sweep.let_go(part)
                 self._book.finish(part)
 
     def _requests(self, whole: Command) -> Iterator[tuple[bool, StimulationRequest]]:
@@ -126,6 +135,7 @@ class _Sweep:
         whole: Command,
         table: StimulationTable,
         sender: CommandSender,
+        turns: Turns,
         teller: StageTeller,
         answers: AnswerKeeper,
         now_ns: Callable[[], int],
@@ -135,13 +145,16 @@ class _Sweep:
         self._whole = whole
         self._table = table
         self._sender = sender
+        self._turns = turns
         self._teller = teller
         self._answers = answers
         self._now_ns = now_ns
         self._within_reach: list[Command] = []
+        self._beyond: list[Command] = []
+        self._hears: dict[NodeId, Callable[[object], None]] = {}
         self._n_silent = 0
         self._news = asyncio.Event()
-        self._end_ns = 0
+        self._end_ns = self._sending_ns = 0
         self._why_unsent = "no radio is up"
 
     def broadcast(self) -> None:
@@ -152,17 +165,22 @@ class _Sweep:
 
     def begin(self, *, n_known: int) -> None:
         """Tell that the broadcast is out; the deadline reckons with rounds of so many frames."""
-        round_s = self._table.stop_retry_s + n_known // TOGETHER * PAUSE_S
+        self._sending_ns = int(n_known * FRAME_S * NS_PER_S)
+        round_s = self._table.stop_retry_s + n_known * FRAME_S
         self._end_ns = self._now_ns() + int((self._table.stop_attempts * round_s + _SPARE_S) * NS_PER_S)
         self._teller.tell(self._whole, Stage.ACCEPTED, deadline_ns=self._end_ns)
 
     def add(self, part: Command, *, is_near: bool) -> None:
         """Take the stop of one biobot; one that is not within reach is sent to once, and not waited for."""
         self.parts.append(part)
-        if is_near:
-            self._within_reach.append(part)
-            self._n_silent += 1
-        part.reply.add_done_callback(lambda _: self._on_reply(part, is_near=is_near))
+        (self._within_reach if is_near else self._beyond).append(part)
+        self._n_silent += is_near
+        hear = self._hears[part.request.node] = partial(self._on_reply, part, is_near)
+        part.reply.add_done_callback(hear)
+
+    def let_go(self, part: Command) -> None:
+        """Hear of a part no more: it is remembered for long, and all the others are not to be with it."""
+        part.reply.remove_done_callback(self._hears.pop(part.request.node))
 
     def give_way(self) -> None:
         """Send nothing more: a newer stop of everybody has come."""
@@ -172,20 +190,55 @@ class _Sweep:
     async def run(self) -> None:
         """Send and wait, round after round, until all within reach have confirmed."""
         retry_ns = int(self._table.stop_retry_s * NS_PER_S)
-        near = set(self._within_reach)
-        far = [part for part in self.parts if part not in near]
         for attempt in range(self._table.stop_attempts):
             if attempt and not self.has_given_way:
                 self.broadcast()
-            for place, part in enumerate([*self._silent(), *(far if attempt == 0 else [])]):
-                if place and place % TOGETHER == 0:
-                    await asyncio.sleep(PAUSE_S)
-                if self.has_given_way:
-                    break
-                self._stop(part)
-            if self.has_given_way or await self._is_done_by(self._now_ns() + retry_ns):
+            # Those first to whom nothing was sent yet: a radio that is slow may have come to an end before them.
+            wanted = sorted([*self._silent(), *self._unsent()], key=_n_sent)
+            await self._send_round(wanted, retry_ns=retry_ns)
+            if self._is_over:
                 break
         await self._end()
+
+    async def _send_round(self, parts: list[Command], *, retry_ns: int) -> None:
+        """Send stops over all their radios at once, and wait for the answers; a radio that is slow goes on until the round ends."""
+        lanes = [asyncio.create_task(self._send_by(radio, its)) for radio, its in self._by_radio(parts).items()]
+        for lane in lanes:
+            lane.add_done_callback(lambda _: self._news.set())
+
+        def has_sent() -> bool:
+            return self.has_given_way or all(lane.done() for lane in lanes) or (self._is_over and not self._unsent())
+
+        try:
+            await self._wait(has_sent, until_ns=self._now_ns() + self._sending_ns)
+            await self._wait(lambda: self._is_over, until_ns=self._now_ns() + retry_ns)
+        finally:
+            for lane in lanes:
+                lane.cancel()
+            await asyncio.gather(*lanes, return_exceptions=True)
+
+    @property
+    def _is_over(self) -> bool:
+        """There is nothing more to wait for."""
+        return self.has_given_way or not (self._n_silent or not self._whole.is_radio_confirmed)
+
+    def _by_radio(self, parts: list[Command]) -> dict[str, list[Command]]:
+        lanes: dict[str, list[Command]] = {}
+        for part in parts:
+            for radio in self._sender.ways_to(part.request.node):
+                lanes.setdefault(radio, []).append(part)
+        return lanes
+
+    async def _send_by(self, radio: str, parts: list[Command]) -> None:
+        """Send stops over one radio, as it takes them."""
+        for part in parts:
+            if part.is_final:
+                continue
+            await self._turns.wait_for(radio)
+            if self.has_given_way:
+                return
+            if not part.is_final:
+                self._stop(part, radio)
 
     def _unconfirmed(self) -> list[Command]:
         """Return those within reach that did not confirm, when all have ended: silent, unwilling, or left to newer stops."""
@@ -194,39 +247,36 @@ class _Sweep:
     def _silent(self) -> list[Command]:
         return [part for part in self._within_reach if not part.is_final]
 
+    def _unsent(self) -> list[Command]:
+        """Return those out of reach that nothing was sent to yet."""
+        return [part for part in self._beyond if not part.is_final and not part.sendings]
+
     def _message(self, command: Command) -> Stimulate:
         return frames.stop(command, pulse_of(command.request.pulse, self._table), has_train=False)
 
-    def _stop(self, part: Command) -> None:
-        if part.is_final:
-            return
-        message, sendings = self._message(part), list[Sending]()
+    def _stop(self, part: Command, radio: str) -> None:
+        sending: Sending | None = None
         try:
-            sendings.append(self._sender.send(part.request.node, message, is_urgent=True))
+            sending = self._sender.send_over(radio, part.request.node, self._message(part))
         except RadioUnavailableError as error:
             self._why_unsent = str(error)
-        sendings += self._sender.send_elsewhere(part.request.node, message)
-        part.sendings += sendings
-        n_again = len(sendings)
+        else:
+            part.sendings.append(sending)
+            self._turns.begin(radio, sending)
         if not part.stages:
             self._teller.tell(part, Stage.ACCEPTED, deadline_ns=self._end_ns)
-            n_again -= 1
-        for _ in range(n_again):
+        elif sending is not None:
             self._teller.note(part, SENT_AGAIN)
-        for sending in sendings:
+        if sending is not None:
             sending.add_done_callback(partial(self._on_sent, part))
 
-    async def _is_done_by(self, until_ns: int) -> bool:
-        """Wait until there is nothing more to wait for, or an instant; return which."""
-        while (self._n_silent or not self._whole.is_radio_confirmed) and not self.has_given_way:
-            rest_s = (until_ns - self._now_ns()) / NS_PER_S
-            if rest_s <= 0:
-                return False
+    async def _wait(self, is_over: Callable[[], bool], *, until_ns: int) -> None:
+        """Wait until something is so, or until an instant."""
+        while not is_over() and (rest_s := (until_ns - self._now_ns()) / NS_PER_S) > 0:
             self._news.clear()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(rest_s):
                     await self._news.wait()
-        return True
 
     def _on_broadcast(self, radio: str, sending: Sending) -> None:
         if _is_sent(sending) and not self._whole.is_final and not self._whole.is_radio_confirmed:
@@ -237,7 +287,7 @@ class _Sweep:
         if _is_sent(sending) and not part.is_final and not part.is_radio_confirmed:
             self._teller.tell(part, Stage.RADIO_CONFIRMED, deadline_ns=self._end_ns)
 
-    def _on_reply(self, part: Command, *, is_near: bool) -> None:
+    def _on_reply(self, part: Command, is_near: bool, _reply: object) -> None:  # noqa: FBT001  # given in order, by partial and future
         if part.is_final or part.reply.cancelled():
             return
         if not part.stages:
@@ -262,7 +312,7 @@ class _Sweep:
         if self._whole.is_final:
             return  # the gateway ends
         silent = self._unconfirmed()
-        n_near, n_far = len(self._within_reach), len(self.parts) - len(self._within_reach)
+        n_near, n_far = len(self._within_reach), len(self._beyond)
         beyond = f"; {n_far} others were not heard of late, and were sent one stop each" if n_far else ""
         if not any(one.sendings for one in (self._whole, *self.parts)):
             self._teller.tell(
@@ -279,6 +329,10 @@ class _Sweep:
             self._teller.tell(self._whole, Stage.UNKNOWN, reason=f"no radio says that it has told everybody; look at the animals{beyond}")
         else:
             self._teller.tell(self._whole, Stage.BIOBOT_CONFIRMED, reason=f"all {n_near} biobots within reach have confirmed{beyond}")
+
+
+def _n_sent(part: Command) -> int:
+    return len(part.sendings)
 
 
 def _is_sent(sending: Sending) -> bool:

@@ -70,9 +70,10 @@ class Stops:
         try:
             for attempt in range(self._table.stop_attempts):
                 n_before = len(command.sendings)
+                if attempt == 0:
+                    self.overtake(command)  # before it is sent: a port that takes it may take the next frame too
                 reason = self._send(command, self._fit_pulse(command) if n_before == 0 else None) or reason
                 if attempt == 0:
-                    self.overtake(command)
                     self._make_room(command)
                 self._tell_sent(command, n_before=n_before, end_ns=end_ns)
                 # From now, not from the begin: where this process was held up, each repetition has its time all the same.

@@ -168,6 +168,10 @@ class CanTransport:
         except TimeoutError as error:
             raise TransportSilentError(name=self._name, reason=f"took nothing for {2 * self._shared.patience_s:g} s") from error
 
+    def write_at_once(self, data: bytes) -> bytes:
+        """Send nothing: the controller belongs to another thread."""
+        return data
+
     async def aclose(self) -> None:
         """Close; the last unit to go closes the bus."""
         if self._is_closed:

@@ -213,6 +213,10 @@ class _SharedTransport:
         """Send all of ``data``; see ``Transport``."""
         await self._transport.write(data)
 
+    def write_at_once(self, data: bytes) -> bytes:
+        """Send what goes without waiting; see ``Transport``."""
+        return self._transport.write_at_once(data)
+
     async def aclose(self) -> None:
         """Close; closing twice is no fault."""
         await self._transport.aclose()

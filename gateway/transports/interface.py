@@ -36,6 +36,10 @@ class Transport(Protocol):
         """
         ...
 
+    def write_at_once(self, data: bytes) -> bytes:
+        """Send of ``data`` what goes without waiting; return the rest, all of it where the port has a fault: ``write`` says which."""
+        ...
+
     async def aclose(self) -> None:
         """Close; closing twice is no fault."""
         ...

@@ -79,6 +79,13 @@ class RecordingTransport:
             self._end(RecordKind.LOST, error.reason)
             raise
 
+    def write_at_once(self, data: bytes) -> bytes:
+        """Send what goes without waiting; see ``Transport``. An answer to it is read later than this returns, and told after it."""
+        rest = self._transport.write_at_once(data)
+        if len(rest) < len(data):
+            self._tell(RecordKind.BYTES_OUT, data[: len(data) - len(rest)])
+        return rest
+
     async def aclose(self) -> None:
         """Close; closing twice is no fault."""
         self._end(RecordKind.CLOSED, "")

@@ -119,6 +119,13 @@ class SerialTransport:
         except OSError as error:
             raise TransportClosedError(name=self._name, reason=f"unplugged ({error.strerror})") from error
 
+    def write_at_once(self, data: bytes) -> bytes:
+        """Send what goes without waiting; see ``Transport``."""
+        try:
+            return self._write_at_once(data)
+        except (OSError, TransportClosedError):
+            return data
+
     async def aclose(self) -> None:
         """Close the port; bytes that the driver still holds are dropped. A closing that hangs is left to its thread after 5 s."""
         if self._is_closed:

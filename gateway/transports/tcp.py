@@ -55,6 +55,14 @@ class TcpTransport:
         except OSError as error:
             raise TransportClosedError(name=self._name, reason=str(error)) from error
 
+    def write_at_once(self, data: bytes) -> bytes:
+        """Send all of ``data`` where nothing waits to be sent, else nothing; see ``Transport``."""
+        transport = self._writer.transport
+        if transport.is_closing() or transport.get_write_buffer_size():
+            return data
+        self._writer.write(data)  # what the kernel does not take waits there
+        return b""
+
     async def aclose(self) -> None:
         """Close at once; unsent bytes are dropped."""
         self._writer.transport.abort()

@@ -154,7 +154,7 @@ def _add_commands(router: APIRouter, services: Services) -> None:
                 command_id=body.id,
             )
         )
-        await services.commands.log.wait(lambda: has_ended(command), timeout_s=body.wait_s)
+        await services.commands.log.wait(lambda: has_ended(command), of=[command], timeout_s=body.wait_s)
         _check_outcome(command)
         return json_response(view_command(command), status=HTTPStatus.OK if has_ended(command) else HTTPStatus.ACCEPTED)
 
@@ -181,7 +181,7 @@ def _add_commands(router: APIRouter, services: Services) -> None:
         command = services.commands.log.get(command_id)
         if wait_s:
             await services.commands.log.wait(
-                lambda: has_ended(command) or (seen is not None and len(command.stages) > seen), timeout_s=wait_s
+                lambda: has_ended(command) or (seen is not None and len(command.stages) > seen), of=[command], timeout_s=wait_s
             )
         return json_response(view_command(command))
 

@@ -79,6 +79,7 @@ class BiobotItem(AnswerModel):
     mode: Literal["CRW", "S"]
     cause: Literal["command", "natural"]
     is_landmark: bool
+    is_halted: bool = Field(description="It stands because all were stopped; it is no landmark")
     radio: str | None
     battery_mv: int | None
     rssi_dbm: int | None

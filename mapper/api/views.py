@@ -55,6 +55,7 @@ def view_biobot(view: BiobotView) -> dict[str, object]:
         "mode": view.mode,
         "cause": view.cause,
         "is_landmark": view.is_landmark,
+        "is_halted": view.is_halted,
         "radio": view.radio,
         "battery_mv": view.battery_mv,
         "rssi_dbm": view.rssi_dbm,

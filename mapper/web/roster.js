@@ -69,7 +69,7 @@ export class Roster {
 
   update(row) {
     const { biobot, cells } = row;
-    const name = biobot.is_landmark ? "landmark" : biobot.mode === "S" ? "still" : "walking";
+    const name = biobot.is_landmark ? "landmark" : biobot.mode !== "S" ? "walking" : biobot.is_halted ? "stopped" : "still";
     setText(row.modeLabel, name);
     row.modeLabel.className = `mode ${name}`;
     setText(cells.battery, biobot.battery_mv === null ? "–" : `${(biobot.battery_mv / 1000).toFixed(2)} V`);

@@ -223,6 +223,18 @@ class Sender:
             self._air.send(message, life=self._life, node=node, radio=way, is_urgent=True) for way in ways if self._air.radios[way].is_up
         ]
 
+    def ways_to(self, node: NodeId) -> list[str]:
+        """Return the radios that may reach the biobot, the one that heard it last first."""
+        known = self._nodes.find(node)
+        last = [] if known is None else [known.radio]
+        return list(dict.fromkeys([*last, *(place.radio for place in self._nodes.places_of(node, now_ns=self._now_ns()))]))
+
+    def send_over(self, radio: str, node: NodeId, message: Stimulate) -> "asyncio.Future[RadioOutcome]":
+        """Send, urgently, over one of them."""
+        if not self._air.radios[radio].is_up:
+            raise RadioUnavailableError(radio=f"of biobot {node}", reason="it is down")
+        return self._air.send(message, life=self._life, node=node, radio=radio, is_urgent=True)
+
     def send_to_all(self, message: Stimulate) -> "dict[str, asyncio.Future[RadioOutcome]]":
         """Send one urgent broadcast over each radio that is up."""
         up = [radio.name for radio in self._air.radios.values() if radio.is_up]

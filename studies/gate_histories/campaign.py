@@ -10,6 +10,7 @@ import msgspec
 from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis.stateful import run_state_machine_as_test
 
+from firmware_protocol.messages import Action
 from studies.cases import Study
 from studies.gate_histories.machine import GateHistory
 from studies.gate_histories.world import World
@@ -86,6 +87,7 @@ def _count(world: World) -> Counter[str]:
     counts["lives of the gateway"] += len(world.lives)
     counts["frames"] += len(world.air.frames)
     counts["frames that arrived"] += sum(bool(frame.landed_ns) for frame in world.air.frames)
+    counts["walks along walls"] += sum(one.action is Action.FOLLOW_WALLS for biobot in world.biobots.values() for one in biobot.log)
     counts["trains at an electrode"] += sum(one.train is not None for biobot in world.biobots.values() for one in biobot.log)
     counts.update(f"outcome: {call.last.stage.value}" for call in world.calls if call.last is not None)
     return counts

@@ -42,19 +42,24 @@ class Biobot:
     ----------
     limits
         What it announces; its stimulator keeps the simulator's own limits, and no account of trains.
+    can_follow_walls
+        It has the capability, and announces it.
     answer
         Is given each answer at the instant at which it is made.
     """
 
-    def __init__(self, *, node: NodeId, limits: Limits, true_time: TrueTime, answer: Callable[[Answer], None]) -> None:
+    def __init__(
+        self, *, node: NodeId, limits: Limits, can_follow_walls: bool, true_time: TrueTime, answer: Callable[[Answer], None]
+    ) -> None:
         self.node = node
         self.limits = limits
+        self.can_follow_walls = can_follow_walls
         self.boot = BootId(1)
         self.mode = WireMode.CRW
         self.log: list[Actuation] = []
         self._true_time = true_time
         self._answer = answer
-        self._stimulator = Stimulator()
+        self._stimulator = Stimulator(can_follow_walls=can_follow_walls)
         self._booted_ns = true_time.now_ns
         self._last: Actuation | None = None
         """Of a command."""
@@ -74,7 +79,7 @@ class Biobot:
         self._cut()
         self.boot = BootId(self.boot + 1)
         self._booted_ns = self._true_time.now_ns
-        self._stimulator = Stimulator()
+        self._stimulator = Stimulator(can_follow_walls=self.can_follow_walls)
 
     def _settle(self, outcomes: list[Outcome]) -> None:
         for outcome in outcomes:

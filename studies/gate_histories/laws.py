@@ -81,6 +81,8 @@ def _unfit(table: StimulationTable, limits: Limits | None, train: Stimulate | No
         value > limit for limit_s in most for value, limit in zip(has, limit_s, strict=True)
     ):
         yield f"has (Hz, mV, us, ms) {has}, beyond {most}, or less than {table.min_frequency_hz} Hz"
+    if not train.amplitude_mv and train.action in {Action.TURN_LEFT, Action.TURN_RIGHT}:
+        yield "was a turn without amplitude"
     if train.waveform is Waveform.MONOPHASIC and not table.allows_unbalanced:
         yield "was not balanced in charge"
 
@@ -132,6 +134,8 @@ def _moves(one: Actuation, call: Call, *, flight_ns: int) -> Iterator[str]:
         yield f"late: {_said(one)} of {_named(call)} came {late_ns / NS_PER_S:.3f} s after its time to live and the flight"
     if not call.given.is_commander_there:
         yield f"no commander: {_said(one)} of {_named(call)}"
+    if request.commander and not request.hold_ms:
+        yield f"no hold: {_said(one)} of {_named(call)}"
 
 
 def _newer_stop(world: World, call: Call) -> Call | None:
@@ -152,8 +156,8 @@ def _newer_stop(world: World, call: Call) -> Call | None:
 def _after_stops(world: World, node: NodeId, log: list[Actuation], moves: list[tuple[int, Call]]) -> Iterator[str]:
     """A confirmed stop did stop the insect, and no earlier command moves it after that."""
     for call in world.calls:
-        if call.request.action is not StimulationAction.STOP or call.request.node != node:
-            continue
+        if call.request.action is not StimulationAction.STOP or call.request.node != node or not call.is_new:
+            continue  # of a message that came again it is told what became of it the first time
         confirmed_ns = next((at for at, stage in call.stages if stage.stage is Stage.BIOBOT_CONFIRMED), None)
         if confirmed_ns is None:
             continue
@@ -205,6 +209,7 @@ def _frames(world: World) -> Iterator[str]:
             yield f"a broadcast that is not a mere stop: {_named(call)}"
         if message.action is Action.STOP:
             continue
+        yield from _along_walls(world, frame, call)
         if frame.written_ns is not None:
             overtaker = _stop_between(world, call, frame)
             if overtaker is not None:
@@ -216,6 +221,24 @@ def _frames(world: World) -> Iterator[str]:
     for (wire, node), n in trains.items():
         if n > 1:
             yield f"frames with a train: {n} of number {wire}, to biobot {node}"
+
+
+def _along_walls(world: World, frame: Frame, call: Call) -> Iterator[str]:
+    """Only who has said since the backpack's start that it can is sent along walls, and has no train but one that is asked for."""
+    if frame.message.action is not Action.FOLLOW_WALLS:
+        return
+    pulse = call.request.pulse
+    if frame.message.duration_ms and (pulse is None or pulse.duration_ms is None):
+        yield f"a train that nobody asked for: {_named(call)}"
+    heard = [(at, boot) for at, node, boot in world.boots if node == frame.node and at <= frame.sent_ns]
+    newest_ns = max((at for at, _ in heard if at < frame.sent_ns), default=0)
+    boots = {boot for at, boot in heard if at >= newest_ns}  # what is heard in the instant of sending comes before or after it
+    if not any(
+        one.can_follow_walls and one.boot in boots and one.heard_ns <= frame.sent_ns and (one.life is frame.life or one.on_disk.done())
+        for one in world.announced
+        if one.node == frame.node
+    ):
+        yield f"along walls: {_named(call)} was sent to a backpack that has not said since its start that it can"
 
 
 def _prompt(world: World) -> Iterator[str]:

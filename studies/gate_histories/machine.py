@@ -8,7 +8,7 @@ from pathlib import Path
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
-from firmware_protocol.contract.commands import StimulationAction
+from firmware_protocol.contract.commands import PulseRequest, StimulationAction
 from studies.gate_histories import sites
 from studies.gate_histories.disk import MemoryRows, StoredRows
 from studies.gate_histories.laws import violations
@@ -57,6 +57,12 @@ class GateHistory(RuleBasedStateMachine):
     def stop(self, *, number: int, wait: int, hold_ms: int) -> None:
         """Stop a biobot."""
         self.world.order(Order(action=StimulationAction.STOP, node=self._node(number), hold_ms=hold_ms))
+        self.world.wait(wait)
+
+    @rule(number=_numbers, wait=st.sampled_from(sites.WAITS_MS), pulse=st.sampled_from(sites.PULSES[:2]))
+    def walk_along_walls(self, *, number: int, wait: int, pulse: PulseRequest | None) -> None:
+        """Send a biobot along walls, with a train or without."""
+        self.world.order(Order(action=StimulationAction.FOLLOW_WALLS, node=self._node(number), pulse=pulse))
         self.world.wait(wait)
 
     @rule(wait=st.sampled_from(sites.WAITS_MS))

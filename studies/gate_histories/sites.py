@@ -54,8 +54,11 @@ RADIOS: Sequence[tuple[frozenset[int], ...]] = (
     (frozenset({1, 2}), frozenset({2, 3}), frozenset({1})),
 )
 
+WALL_FOLLOWERS: Sequence[frozenset[int]] = (frozenset({1, 2, 3}), frozenset({2}))
+
 SITES = tuple(
-    Site(table=table, radio_timeout_s=6.0, limits=limits, radios=radios) for table, limits, radios in product(TABLES, LIMITS, RADIOS)
+    Site(table=table, radio_timeout_s=6.0, limits=limits, radios=radios, wall_followers=wall_followers)
+    for table, limits, radios, wall_followers in product(TABLES, LIMITS, RADIOS, WALL_FOLLOWERS)
 )
 
 PULSES: Sequence[PulseRequest | None] = (
@@ -69,13 +72,14 @@ PULSES: Sequence[PulseRequest | None] = (
     PulseRequest(amplitude_mv=2_001),
     PulseRequest(frequency_hz=60),
     PulseRequest(frequency_hz=49),
+    PulseRequest(amplitude_mv=0),
     PulseRequest(pulse_width_us=9_001),
     PulseRequest(waveform=WaveformName.MONOPHASIC),
     PulseRequest(channel=7),
     PulseRequest(duration_ms=60_000, amplitude_mv=60_000, frequency_hz=255, pulse_width_us=60_000),
 )
 
-MOVES = (StimulationAction.START, StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT)
+MOVES = (StimulationAction.START, StimulationAction.TURN_LEFT, StimulationAction.TURN_RIGHT, StimulationAction.FOLLOW_WALLS)
 ACTIONS = (*MOVES, StimulationAction.STOP)
 TTLS_MS = (5_000, 500, 60_000, 1, 2_000)
 LATE_MS = (0, 100, -500, 4_999, 5_000, -2_001, 3_600_000, -3_600_000, 1_999)
@@ -90,7 +94,7 @@ GAPS_MS = (2_600, 2_000, 2_501, 3_100, 700, 10)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Move:
-    """A start or a turn as most are, and a wait after it."""
+    """A start, a turn or a walk along walls as most are, and a wait after it."""
 
     number: int
     action: StimulationAction

@@ -11,7 +11,7 @@ import msgspec
 
 from firmware_protocol.contract.commands import CommandStage, PulseRequest, StimulationAction, StimulationRequest
 from firmware_protocol.messages import Capability, Hello, Limits
-from firmware_protocol.units import EVERYBODY, NS_PER_MS, NS_PER_S, Nanoseconds, NodeId, RssiDbm, ShortAddress
+from firmware_protocol.units import EVERYBODY, NS_PER_MS, NS_PER_S, BootId, Nanoseconds, NodeId, RssiDbm, ShortAddress
 from gateway.config import StimulationTable
 from gateway.health import Health
 from gateway.journal_file import AuditEntry, JournalWrite
@@ -41,6 +41,8 @@ class Site:
     """What each biobot announces; biobots are numbered from 1."""
     radios: tuple[frozenset[int], ...]
     """Which numbers each radio hears."""
+    wall_followers: frozenset[int]
+    """Numbers whose backpacks can follow walls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,11 +60,13 @@ class Order:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Announcement:
-    """The gateway heard what a biobot's limits are; it knows it after its process too once ``on_disk`` is done."""
+    """The gateway heard what a biobot's limits are, and what it can; it knows it after its process too once ``on_disk`` is done."""
 
     heard_ns: int
     node: NodeId
+    boot: BootId
     limits: Limits
+    can_follow_walls: bool
     life: Life
     on_disk: "asyncio.Future[None]"
 
@@ -91,6 +95,8 @@ class World:
         self.appended: list[tuple[int, AuditEntry]] = []
         """Rows that the gate gave to the journals of all its lives, and when."""
         self.announced: list[Announcement] = []
+        self.boots: list[tuple[int, NodeId, BootId]] = []
+        """Which start of a backpack the gateway heard, and when."""
         self.restarted: list[tuple[int, NodeId]] = []
         self.faults: list[str] = []
         """What went wrong in the gate's own loop."""
@@ -101,7 +107,13 @@ class World:
         radios = {f"r{n}": Radio(name=f"r{n}", hears=frozenset(NodeId(one) for one in hears)) for n, hears in enumerate(site.radios)}
         self.air = Air(true_time=self.time, radios=radios, flight_s=site.table.flight_s, radio_timeout_s=site.radio_timeout_s)
         self.air.biobots = self.biobots = {
-            node: Biobot(node=node, limits=limits, true_time=self.time, answer=self.air.answer)
+            node: Biobot(
+                node=node,
+                limits=limits,
+                can_follow_walls=node in site.wall_followers,
+                true_time=self.time,
+                answer=self.air.answer,
+            )
             for node, limits in zip(nodes, site.limits, strict=True)
         }
         self.air.hear = self._hear
@@ -204,12 +216,20 @@ class World:
         book = self._take(NodeId(node), radio)
         known = book.find(NodeId(node))
         if announces and known is not None:
-            limits = self.biobots[NodeId(node)].limits
-            book.introduce(known, Hello(eui64=node, firmware=1, beacon_period_ms=0, capabilities=Capability.STIMULATION))
-            book.take_limits(known, limits)
-            on_disk = self._remember(known)
+            biobot = self.biobots[NodeId(node)]
+            walls = Capability.FOLLOW_WALLS if biobot.can_follow_walls else Capability(0)
+            book.introduce(known, Hello(eui64=node, firmware=1, beacon_period_ms=0, capabilities=Capability.STIMULATION | walls))
+            book.take_limits(known, biobot.limits)
             self.announced.append(
-                Announcement(heard_ns=self.time.now_ns, node=known.node, limits=limits, life=self._running.life, on_disk=on_disk)
+                Announcement(
+                    heard_ns=self.time.now_ns,
+                    node=known.node,
+                    boot=biobot.boot,
+                    limits=biobot.limits,
+                    can_follow_walls=biobot.can_follow_walls,
+                    life=self._running.life,
+                    on_disk=self._remember(known),
+                )
             )
 
     def recover(self) -> None:
@@ -331,6 +351,7 @@ class World:
     def _take(self, node: NodeId, radio: str) -> NodeBook:
         """Have a radio hear a biobot now."""
         book, biobot = self._running.nodes, self.biobots[node]
+        self.boots.append((self.time.now_ns, node, biobot.boot))
         known, has_changed = book.heard(
             node=node,
             boot=biobot.boot,

@@ -36,11 +36,14 @@ class Frame:
     message: Stimulate
     is_urgent: bool
     sending: "asyncio.Future[RadioOutcome]"
+    radio: str = ""
+    n_waiting: int = 0
+    """Frames that were not urgent and waited when this one was given."""
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class FakeAir:
-    """A way to the biobots that implements what the gate needs. Where ``is_stuck``, frames wait unwritten."""
+    """A way to the biobots that implements what the gate needs. Where ``is_stuck``, frames wait unwritten; ``stuck``: on these radios."""
 
     frames: list[Frame] = field(default_factory=list)
     gate: StimulationGate | None = None
@@ -49,6 +52,7 @@ class FakeAir:
     is_down: bool = False
     is_broken: bool = False
     is_stuck: bool = False
+    stuck: set[str] = field(default_factory=set)
     fate: Fate = Fate.SENT
     result: StimulationResult = StimulationResult.DONE
     answers: Callable[[NodeId, int], bool] = lambda _node, _n_sent: True
@@ -63,6 +67,14 @@ class FakeAir:
 
     def send_elsewhere(self, node: NodeId, message: Stimulate) -> "list[asyncio.Future[RadioOutcome]]":
         return [] if self.is_down else [self._send(node, message, is_urgent=True) for _ in range(self.n_elsewhere)]
+
+    def ways_to(self, node: NodeId) -> list[str]:
+        return [f"r{(node + n) % self.n_radios}" for n in range(1 + self.n_elsewhere)]
+
+    def send_over(self, radio: str, node: NodeId, message: Stimulate) -> "asyncio.Future[RadioOutcome]":
+        if self.is_down:
+            raise RadioUnavailableError(radio=radio, reason="it is not connected")
+        return self._send(node, message, is_urgent=True, radio=radio)
 
     def send_to_all(self, message: Stimulate) -> "dict[str, asyncio.Future[RadioOutcome]]":
         return {} if self.is_down else {f"r{n}": self._send(None, message, is_urgent=True) for n in range(self.n_radios)}
@@ -84,11 +96,12 @@ class FakeAir:
         reply = StimulateReply(command=message.command, result=self.result, executed_ms=Milliseconds(1), mode=mode)
         self.gate.on_reply(NodeId(node), reply)
 
-    def _send(self, node: NodeId | None, message: Stimulate, *, is_urgent: bool) -> "asyncio.Future[RadioOutcome]":
+    def _send(self, node: NodeId | None, message: Stimulate, *, is_urgent: bool, radio: str = "") -> "asyncio.Future[RadioOutcome]":
         loop = asyncio.get_running_loop()
-        frame = Frame(node=node, message=message, is_urgent=is_urgent, sending=loop.create_future())
+        n_waiting = sum(not one.is_urgent and not one.sending.done() for one in self.frames)
+        frame = Frame(node=node, message=message, is_urgent=is_urgent, radio=radio, n_waiting=n_waiting, sending=loop.create_future())
         self.frames.append(frame)
-        if not self.is_stuck:
+        if not self.is_stuck and radio not in self.stuck:
             frame.sending.set_result(RadioOutcome(fate=self.fate))
             if node is not None and self.fate is Fate.SENT and self.answers(node, len(self.sent_to(node))):
                 loop.call_soon(self.reply, node, message)

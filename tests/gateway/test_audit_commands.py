@@ -84,6 +84,15 @@ def test_rows_are_chosen_by_biobot_operator_command_kind_and_time(journal: Path,
     assert numbers("--since", "2026-11-18T11:06:56+00:00") == [number for number in stages if number > 16], "notes are of the first second"
 
 
+def test_a_kind_of_which_there_is_no_row_is_said_with_those_that_there_are(journal: Path, tmp_path: Path, capsys: _Captured) -> None:
+    for action in (("show", journal), ("export", journal, "--csv", tmp_path / "t.csv")):
+        status, out, err = _run(capsys, *action, "--kind", "stages")
+        assert (status, out) == (1, "")
+        assert "'stages'" in err
+        assert "stage" in err.partition("there is ")[2]
+    assert not (tmp_path / "t.csv").exists()
+
+
 def test_a_line_says_who_wanted_what_of_whom_and_what_became_of_it(tmp_path: Path, capsys: _Captured) -> None:
     path = tmp_path / "j"
     with contextlib.closing(open_journal_file(path, now_wall_ns=WALL_NS, now_ns=0, machine_boot="m")) as file:
@@ -135,15 +144,20 @@ def test_doses_are_told_by_biobot(tmp_path: Path, capsys: _Captured) -> None:
             file,
             [a_stage(5, node=9), a_stage(5, node=9, stage=Stage.REFUSED), a_stage(6), replace(a_stage(6), kind="taken_back", train_ms=0)],
         )
-        commit(file, [a_note(7)])
+        commit(file, [a_note(7), a_stage(8, node=0, stage=Stage.REFUSED), a_stage(9, node=70_000, stage=Stage.REFUSED)])
+        commit(file, [a_stage(10, node=4, stage=Stage.REFUSED)])
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute("INSERT INTO nodes VALUES (4, x'')")
+        database.commit()
     status, out, _ = _run(capsys, "stats", path)
     assert status == 0
     assert [line.split() for line in out.splitlines()[1:]] == [
         ["3", "2", "1.0", "3", "2", "0", "0", "0", "2026-11-18T11:06:41.000Z"],
+        ["4", "0", "0.0", "0", "0", "1", "0", "0", "-"],
         ["9", "0", "0.0", "1", "0", "1", "0", "0", "-"],
-    ]
+    ], "0 and 70,000 are nobody's numbers"
     _, out, _ = _run(capsys, "stats", path, "--json")
-    assert [dose["on_ms"] for dose in json.loads(out)] == [1000, 0]
+    assert [dose["on_ms"] for dose in json.loads(out)] == [1000, 0, 0]
 
 
 def test_what_is_no_journal_is_said_with_the_next_step(tmp_path: Path, capsys: _Captured) -> None:

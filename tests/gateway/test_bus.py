@@ -111,6 +111,10 @@ def test_orders_come_in_and_are_answered_and_a_query_to_all_gateways_reaches_thi
                 assert decode_record(stages[0], CommandStage).command_id == stop.command_id
                 assert await asyncio.to_thread(ask, b"no command") == []
                 assert turned_away == [b"no command"]
+                orders = build_key(site="test", stream=Stream.ORDERS, gateway=ANY)
+                replies = await asyncio.to_thread(lambda: list(peer.get(orders, payload=b"no order", timeout=5.0)))
+                assert [reply.ok for reply in replies] == [None]
+                assert turned_away == [b"no command", b"no order"]
         finally:
             await asyncio.to_thread(bus.close)
             journal.close()

@@ -58,7 +58,7 @@ def _run(path: Path, story: Callable[[Site, Commanding, asyncio.TaskGroup], Awai
 def test_what_waits_for_its_commander_is_overtaken_by_a_stop_that_comes_meanwhile(tmp_path: Path) -> None:
     async def story(site: Site, commanding: Commanding, tasks: asyncio.TaskGroup) -> None:
         moving = _Answer()
-        commanding.take(tasks, a_command(5, StimulationAction.START, commander="ann"), moving.of_bus())
+        commanding.take(tasks, a_command(5, StimulationAction.START, commander="ann", hold_ms=1_000), moving.of_bus())
         await asyncio.sleep(0)
         stopping = _Answer()
         commanding.take(tasks, a_command(5, StimulationAction.STOP, pulse=_NO_TRAIN), stopping.of_bus())

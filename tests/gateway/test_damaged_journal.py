@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from firmware_protocol.contract.commands import Stage, StimulationAction
 from firmware_protocol.contract.records import HistoryRequest, Mode, decode_journal_record
 from firmware_protocol.units import NodeId
 from gateway.health import Health
@@ -15,7 +16,9 @@ from gateway.journal import Journal
 from gateway.journal_file import Damage, JournalFile, JournalReader, JournalWrite, Retention, check_journal, open_journal_file, walk_records
 from gateway.journal_file.blobs import DamagedSegmentError, checksum
 from gateway.record_batches import history_batches
-from tests.gateway.fake_radio import until
+from tests.gateway.audited import a_stage as a_stage_row
+from tests.gateway.fake_radio import a_dongle, on_tcp, until
+from tests.gateway.harness import a_config, a_request, command, listening, running
 from tests.gateway.makers import a_mode_record, an_encounter_record
 from tests.gateway.schema_3 import make_schema_2
 from tests.gateway.test_journal_segments import _Clock, _commit, _fill, _opened, _tidy, a_report
@@ -213,3 +216,44 @@ def test_a_full_disk_takes_no_watermark_but_what_is_old_goes_all_the_same(tmp_pa
             assert done.n_dropped > 0
             assert done.oldest_offset == 1 + done.n_dropped
             assert done.refused.keys() >= {"progress"}
+
+
+def _damage_first_audit_rows(path: Path) -> None:
+    """Overwrite the leaf of the audit table that has its first rows (https://www.sqlite.org/fileformat2.html, 1.6)."""
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        (size,) = database.execute("PRAGMA page_size").fetchone()
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'audit'").fetchone()
+    with path.open("r+b") as file:
+        file.seek((root - 1) * size)
+        page = file.read(size)
+        while page[0] == 5:  # an interior page: its first cell begins with the number of the page to the left
+            leaf = int.from_bytes(page[(cell := int.from_bytes(page[12:14])) : cell + 4])
+            file.seek((leaf - 1) * size)
+            page = file.read(size)
+        file.seek((leaf - 1) * size)
+        file.write(bytes(size))
+
+
+def test_a_gateway_whose_audit_log_is_damaged_starts_and_stops_whom_it_is_told_to(tmp_path: Path) -> None:
+    async def story() -> None:
+        dongle = a_dongle(7)
+        async with on_tcp(dongle) as port:
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}")
+            async with running(config) as service:
+                for number in range(400):
+                    service._journal.append(JournalWrite(audit=a_stage_row(number)))
+                await service._journal.drain()
+            _damage_first_audit_rows(Path(config.journal))
+            with pytest.raises(sqlite3.DatabaseError):
+                list(JournalReader(Path(config.journal)).read_newest_audit(limit=30_000))
+            with listening(config) as peer:
+                async with running(config):
+                    await peer.hear()
+                    dongle.backpacks[NodeId(7)].say_hello()
+                    dongle.backpacks[NodeId(7)].say_status(since_ms=1)
+                    await until(lambda: {status.node for status in peer.node_statuses} == {7}, what="the biobot is known")
+                    stages = await command(peer, a_request(7, StimulationAction.STOP))
+                    assert stages[-1].stage is Stage.BIOBOT_CONFIRMED
+
+    asyncio.run(story())

@@ -342,6 +342,9 @@ class _Flooding:
     async def write(self, data: bytes) -> None:
         raise AssertionError(data)
 
+    def write_at_once(self, data: bytes) -> bytes:
+        raise AssertionError(data)
+
     async def aclose(self) -> None:
         pass
 

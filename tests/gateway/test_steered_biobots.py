@@ -88,10 +88,27 @@ def test_whoever_is_steered_stops_when_the_steering_process_dies_hangs_or_leaves
                 return {int(one.node): one.command_id.partition("-")[0] for one in stops}
 
             await until(lambda: stopped_by() == {7: "dead", 8: "dead", 9: "steer"}, what="the stages are published")
-            absent = msgspec.structs.replace(a_request(7, StimulationAction.START), commander="nobody")
+            absent = msgspec.structs.replace(a_request(7, StimulationAction.START), commander="nobody", hold_ms=1_000)
             (refused,) = await command(peer, absent)
             assert refused.refusal is Refusal.NO_COMMANDER
             subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+
+    asyncio.run(story())
+
+
+def test_a_script_of_which_a_step_was_refused_goes_on_and_fails_in_the_end(tmp_path: Path) -> None:
+    async def story() -> None:
+        dongle = a_dongle(7)
+        async with on_tcp(dongle) as port:
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=_TABLE)
+            with listening(config) as peer:
+                async with running(config), program(*steering(config, 7, "left 0.1; right 0.1; stop")) as steerer:
+                    backpack = dongle.backpacks[NodeId(7)]
+                    await introduced(peer, backpack)
+                    assert await steerer.wait() == 1
+                    assert steerer.stderr is not None
+                    assert b"1 of 3 steps were not confirmed" in await steerer.stderr.read()
+                    assert actions(backpack) == [Action.TURN_LEFT, Action.STOP]
 
     asyncio.run(story())
 

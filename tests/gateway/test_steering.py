@@ -61,6 +61,7 @@ def test_it_beats_until_the_newest_stop_is_confirmed() -> None:
     assert steering.has_ended
     steering.sent(first.command_id, first.action)
     steering.take_stage(a_stage(first, Stage.BIOBOT_CONFIRMED))
+    assert steering.is_confirmed
     assert not steering.is_moving
 
 

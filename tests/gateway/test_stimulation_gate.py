@@ -221,11 +221,26 @@ def test_a_commander_that_is_not_there_gets_nothing_but_stops(tmp_path: Path) ->
     async def story() -> None:
         there = {"anna"}
         async with a_site(tmp_path / "j", 5, 6, is_commander_there=there.__contains__) as site:
-            assert (await site.stages(5, _LEFT, commander="bert"))[-1].refusal is Refusal.NO_COMMANDER
-            assert _told(await site.stages(5, _LEFT, commander="anna"))[-1] is Stage.BIOBOT_CONFIRMED
+            assert (await site.stages(5, _LEFT, commander="bert", hold_ms=1_000))[-1].refusal is Refusal.NO_COMMANDER
+            (endless,) = await site.stages(5, _LEFT, commander="anna")
+            assert endless.refusal is Refusal.NO_HOLD
+            assert "'anna'" in endless.reason
+            assert not site.air.frames
+            assert _told(await site.stages(5, _LEFT, commander="anna", hold_ms=1_000))[-1] is Stage.BIOBOT_CONFIRMED
             assert _told(await site.stages(6, _STOP, commander="bert"))[-1] is Stage.BIOBOT_CONFIRMED
 
     asyncio.run(story())
+
+
+def test_a_turn_of_nothing_is_refused_and_says_what_is_missing(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        for pulse, missing in ((PulseRequest(duration_ms=0), "duration_ms is 0"), (PulseRequest(amplitude_mv=0), "amplitude_mv is 0")):
+            (refused,) = await site.stages(5, _LEFT, pulse=pulse)
+            assert refused.refusal is Refusal.PULSE
+            assert missing in refused.reason
+        assert not site.air.frames
+
+    _run(tmp_path / "j", story=story)
 
 
 def test_a_command_gives_its_own_pulse_within_the_limits(tmp_path: Path) -> None:
@@ -281,6 +296,9 @@ def test_a_stop_overtakes_what_waits_for_the_disk_or_for_the_line(tmp_path: Path
         site.air.is_stuck = False
         assert _told(await stopping)[-1] is Stage.BIOBOT_CONFIRMED
         assert {frame.message.action.name for frame in site.air.frames if _is_sent(frame)} == {"STOP"}
+        assert [frame.n_waiting for frame in site.air.frames if frame.is_urgent][:2] == [0, 0], (
+            "a port may take at once what waits behind it"
+        )
         for node in (5, 6):
             account = site.gate.account_of(NodeId(node))
             assert account is not None
@@ -425,7 +443,7 @@ def test_whom_nobody_looks_after_any_more_is_not_moved_by_what_waited_for_the_di
     async def story() -> None:
         there = {"anna"}
         async with a_site(tmp_path / "j", 5, 6, is_commander_there=there.__contains__) as site:
-            waiting = asyncio.ensure_future(site.stages(5, _START, commander="anna"))
+            waiting = asyncio.ensure_future(site.stages(5, _START, commander="anna", hold_ms=1_000))
             await asyncio.sleep(0)
             there.clear()
             assert (await waiting)[-1].refusal is Refusal.NO_COMMANDER

@@ -10,9 +10,9 @@ from firmware_protocol.contract.commands import CommandStage, Refusal, Stage, St
 from firmware_protocol.messages import Action, StimulationResult
 from firmware_protocol.units import EVERYBODY, NodeId
 from gateway.journal_file import JournalWrite
-from gateway.radio import Fate
+from gateway.radio import Fate, RadioOutcome
 from gateway.stimulation.parts import stop_of
-from tests.gateway.fake_air import QUICK, Site, a_command, a_site
+from tests.gateway.fake_air import PATIENT, QUICK, Site, a_command, a_site
 from tests.gateway.fake_radio import until
 
 _ALL = StimulationAction.STOP_ALL
@@ -99,15 +99,36 @@ def test_who_is_unwilling_or_left_to_newer_stops_has_not_confirmed(tmp_path: Pat
 
 def test_of_many_the_newest_alone_goes_on_from_biobot_to_biobot(tmp_path: Path) -> None:
     async def story() -> None:
-        async with a_site(tmp_path / "j", *range(1, 41), config=QUICK) as site:
+        async with a_site(tmp_path / "j", *range(1, 41), config=PATIENT) as site:
+            site.air.answers = lambda _node, _n: False
             first = asyncio.ensure_future(site.stages(EVERYBODY, _ALL))
             await until(lambda: bool(site.air.sent_to(1)), what="the first is under way")
+            site.air.answers = lambda _node, _n: True
             ends = await asyncio.gather(first, *(site.stages(EVERYBODY, _ALL) for _ in range(50)))
             assert ends[-1][-1].stage is Stage.BIOBOT_CONFIRMED
             assert all(stages[-1].stage is Stage.UNKNOWN and "a newer stop of all" in stages[-1].reason for stages in ends[:-1])
             assert len([frame for frame in site.air.frames if frame.node is None]) == 51, "each has told everybody"
-            assert len([frame for frame in site.air.frames if frame.node is not None]) <= 8 + 40
+            assert len([frame for frame in site.air.frames if frame.node is not None]) <= 40 + 40
             assert not site.gate._book.running()
+
+    asyncio.run(story())
+
+
+def test_a_radio_gets_the_next_frames_when_it_has_sent_those_before_and_holds_no_other_up(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", *range(1, 41), config=PATIENT) as site:
+            site.air.n_radios, site.air.stuck = 2, {"r1"}
+            stopping = asyncio.ensure_future(_heard(site))
+            await until(lambda: len({frame.node for frame in site.air.frames if frame.radio == "r0"}) == 20, what="one radio has told all")
+            held = [frame for frame in site.air.frames if frame.radio == "r1" and frame.node is not None]
+            assert [frame.node for frame in held] == [1, 3, 5], "the other was given no more than it may hold"
+            site.air.stuck.clear()
+            for frame in held:
+                assert frame.node is not None
+                frame.sending.set_result(RadioOutcome(fate=Fate.SENT))
+                site.air.reply(frame.node, frame.message)
+            stages, _ = await stopping
+            assert "all 40 biobots" in stages[-1].reason
 
     asyncio.run(story())
 

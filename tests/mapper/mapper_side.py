@@ -97,6 +97,7 @@ async def mapper_side(
     bus = await Bus.open(site=SITE, connect=tuple(f"tcp/127.0.0.1:{one}" for one in (port, *more_ports)), listen=())
     fleet, changes = Fleet(), Changes()
     log, accounts = CommandLog(changes=changes), StimulationAccounts()
+    log.listen(fleet.take_stage)
     intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=log, accounts=accounts)
     commander = Commander(bus=bus, name="mapper1")
     desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)

@@ -184,7 +184,7 @@ async def stop(side: Side, node: int = 5, *, ttl_ms: int = 5000, command_id: str
 
 async def give(side: Side, wish: Wish) -> Command:
     command = await side.desk.submit(wish)
-    await side.desk.log.wait(lambda: has_ended(command), timeout_s=DEADLINE_S)
+    await side.desk.log.wait(lambda: has_ended(command), of=[command], timeout_s=DEADLINE_S)
     return command
 
 

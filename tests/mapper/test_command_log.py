@@ -1,5 +1,7 @@
 """What became of commands, whoever gave them: each stage counts once, the worst gateway counts, and memory is bounded."""
 
+import asyncio
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -103,6 +105,41 @@ def test_gateways_that_do_not_know_a_biobot_have_no_part_in_its_stop() -> None:
     assert outcome_of(command) is None
     log.take(stage_of(Stage.BIOBOT_CONFIRMED, gateway="gateway2", node=5, action=StimulationAction.STOP))
     assert (outcome_of(command), command.refusal) == (Outcome.BIOBOT_CONFIRMED, None)
+
+
+def test_a_stop_of_one_biobot_is_done_when_any_gateway_has_its_word() -> None:
+    log, _ = log_of()
+    command = log.add(request_of(node=5, action=StimulationAction.STOP), gateway=None, asked=["gateway1", "gateway2"])
+    log.take(stage_of(Stage.BIOBOT_CONFIRMED, gateway="gateway2", node=5, action=StimulationAction.STOP))
+    assert outcome_of(command) is Outcome.BIOBOT_CONFIRMED
+    assert not command.is_settled
+    log.take(stage_of(Stage.UNKNOWN, gateway="gateway1", node=5, action=StimulationAction.STOP))
+    assert outcome_of(command) is Outcome.BIOBOT_CONFIRMED
+    assert command.is_settled
+
+
+def test_who_waits_for_a_command_is_woken_by_what_is_told_of_that_one() -> None:
+    async def story() -> None:
+        log, _ = log_of()
+        mine = log.add(request_of(), gateway=None, asked=["gateway1"])
+        n_looks = 0
+
+        def has_ended_at_last() -> bool:
+            nonlocal n_looks
+            n_looks += 1
+            return has_ended(mine)
+
+        waiting = asyncio.create_task(log.wait(has_ended_at_last, of=[mine]))
+        for number in range(50):
+            await asyncio.sleep(0)
+            log.take(stage_of(Stage.ACCEPTED, command_id=f"part-{number}", node=number, action=StimulationAction.STOP, part_of="one"))
+        log.take(stage_of(Stage.BIOBOT_CONFIRMED))
+        assert await waiting
+        assert n_looks == 3, "when it began to wait, and when it was told of"
+        assert not await log.wait(lambda: False, of=[mine], timeout_s=0.0)
+        assert not log._waiting
+
+    asyncio.run(story())
 
 
 def test_a_stage_of_another_command_under_the_same_id_changes_nothing() -> None:

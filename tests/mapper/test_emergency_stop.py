@@ -7,7 +7,7 @@ from http import HTTPStatus
 
 import httpx
 
-from firmware_protocol.contract.commands import Refusal, Stage, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import PulseRequest, Refusal, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.units import EVERYBODY, NodeId
 from mapper.commands import Wish
 from tests.mapper.fake_gateway import FakeGateway, free_port
@@ -159,6 +159,27 @@ def test_a_biobot_whose_gateway_is_away_is_stopped_by_another() -> None:
                 assert answer.json()["unanswered"] == ["gateway1"]
 
     asyncio.run(story())
+
+
+def test_a_stop_goes_to_every_gateway_that_has_heard_the_biobot_and_one_alone_may_give_a_train() -> None:
+    async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
+        await meet(side, gateways[0], 5)
+        gateways[1].publish_node(5)
+        await until(lambda: set(side.fleet.hearers_of(NodeId(5))) == {"gateway1", "gateway2"})
+        nearest, other = side.fleet.hearers_of(NodeId(5))
+        by_name = {"gateway1": gateways[0], "gateway2": gateways[1]}
+        by_name[nearest].answer = lambda _request: (Stage.ACCEPTED, Stage.UNKNOWN)
+        answer = await client.post("/api/v1/commands", json={"biobot": 5, "action": "stop", "operator": "anna", "id": "five"})
+        assert (answer.status_code, answer.json()["outcome"]) == (HTTPStatus.OK, "biobot_confirmed")
+        await until(lambda: side.desk.log.get("five").is_settled)
+        assert {name: str(one.outcome) for name, one in side.desk.log.get("five").answers.items()} == {
+            nearest: "unknown",
+            other: "biobot_confirmed",
+        }
+        assert [request.pulse for request in by_name[nearest].commands] == [None]
+        assert [request.pulse for request in by_name[other].commands] == [PulseRequest(duration_ms=0)]
+
+    run_story(story, n_gateways=2)
 
 
 def test_a_gateway_that_comes_back_is_stopped_all_the_same() -> None:

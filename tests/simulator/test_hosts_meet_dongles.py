@@ -12,7 +12,7 @@ from firmware_protocol.dialects.interface import CoordinatorIdentified, Host, Ho
 from firmware_protocol.envelope import BROADCAST_ADDRESS, RadioReceived, RadioStatus
 from firmware_protocol.errors import EncodeError
 from firmware_protocol.messages import MAX_RADIO_PAYLOAD
-from firmware_protocol.units import RssiDbm, ShortAddress
+from firmware_protocol.units import BROADCAST, RssiDbm, ShortAddress
 from simulator.dongles.choice import DONGLES, host_dialect, make_dongle
 from simulator.dongles.interface import Dongle
 
@@ -196,6 +196,25 @@ def test_an_urgent_payload_is_the_next_one_whatever_the_host_holds_ready(dialect
 
 
 @every_dialect
+def test_an_urgent_broadcast_goes_ahead_of_urgent_payloads_to_single_biobots(dialect: str) -> None:
+    line = Line(dialect)
+    line.run_until_open()
+    line.run(1_000)
+    for i in range(6):
+        line.host.send(destination=NODE, payload=b"%d" % i, now_ns=line.now_ns)
+    n_written = int(line.write_one())
+    for i in range(5):
+        line.host.send(destination=NODE, payload=b"STOP %d" % i, now_ns=line.now_ns, is_urgent=True)
+    n_written += line.write_one()
+    line.host.send(destination=BROADCAST, payload=b"ALL", now_ns=line.now_ns, is_urgent=True)
+    line.run(3_000)
+    said = [payload for _, payload in line.sent]
+    assert said.index(b"ALL") == n_written, "it waits for what was on the line, for nothing else"
+    assert [payload for payload in said if payload.startswith(b"STOP")] == [b"STOP %d" % i for i in range(5)]
+    assert len(said) == 12
+
+
+@every_dialect
 @settings(max_examples=8)
 @given(data=st.data())
 def test_what_is_withdrawn_never_goes_out_and_all_else_does_once(dialect: str, data: st.DataObject) -> None:
@@ -206,7 +225,7 @@ def test_what_is_withdrawn_never_goes_out_and_all_else_does_once(dialect: str, d
     sent: dict[int, bytes] = {}
     withdrawn: set[int] = set()
     for i in range(data.draw(st.integers(1, 30))):
-        match data.draw(st.sampled_from(("send", "urgent", "withdraw", "write", "run"))):
+        match data.draw(st.sampled_from(("send", "urgent", "broadcast", "withdraw", "write", "run"))):
             case "withdraw" if sent:
                 ticket = data.draw(st.sampled_from(sorted(sent)))
                 if line.host.withdraw(ticket):
@@ -218,7 +237,8 @@ def test_what_is_withdrawn_never_goes_out_and_all_else_does_once(dialect: str, d
                 line.run(20)
             case kind:
                 payload = b"%d" % i
-                sent[line.host.send(destination=NODE, payload=payload, now_ns=line.now_ns, is_urgent=kind == "urgent")] = payload
+                to = BROADCAST if kind == "broadcast" else NODE
+                sent[line.host.send(destination=to, payload=payload, now_ns=line.now_ns, is_urgent=kind != "send")] = payload
     line.run(3_000)
     assert not line.lost
     assert sorted(payload for _, payload in line.sent) == sorted(payload for ticket, payload in sent.items() if ticket not in withdrawn)

@@ -16,7 +16,7 @@ from firmware_protocol.dialects.znp_window import MAX_QUEUE, SendWindow
 from firmware_protocol.envelope import RadioReceived, RadioStatus
 from firmware_protocol.errors import LinkFullError
 from firmware_protocol.framing.znp import ZnpDecoder
-from firmware_protocol.units import RSSI_UNKNOWN, RssiDbm
+from firmware_protocol.units import BROADCAST, RSSI_UNKNOWN, RssiDbm
 from firmware_protocol.znp import frames as znp
 from firmware_protocol.znp.codec import Message, decode_command
 from firmware_protocol.znp.numbers import BIOBOT_CLUSTER, BIOBOT_ENDPOINT, Command, DeviceState, ZnpStatus
@@ -80,6 +80,26 @@ def test_two_urgent_payloads_do_not_wait_for_the_answer_to_a_request() -> None:
     assert [request.payload for request in bench.answer()] == [b"second"]
     bench.run(100)
     assert list(settled(bench).values()) == [RadioStatus.SENT] * 6
+
+
+def test_a_broadcast_is_written_on_top_of_two_urgent_payloads() -> None:
+    bench = opened()
+    bench.host.take_frames()
+    bench.host.send(destination=NODE, payload=b"first", now_ns=bench.now_ns)
+    written = bench.host.take_frames()
+    for number in range(3):
+        bench.host.send(destination=NODE, payload=b"STOP %d" % number, now_ns=bench.now_ns, is_urgent=True)
+    written += bench.host.take_frames()
+    bench.host.send(destination=BROADCAST, payload=b"ALL", now_ns=bench.now_ns, is_urgent=True)
+    written += bench.host.take_frames()
+    assert len(written) == 4
+    assert b"ALL" in written[-1]
+    for one in written:
+        bench.dongle.feed(one, now_ns=bench.now_ns)
+    bench.run(300)
+    assert {request.payload for request in bench.answer()} == {b"first", b"STOP 0", b"STOP 1", b"STOP 2", b"ALL"}
+    bench.run(100)
+    assert list(settled(bench).values()) == [RadioStatus.SENT] * 5
 
 
 def test_a_chip_without_room_is_left_in_peace_for_a_while() -> None:

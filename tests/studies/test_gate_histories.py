@@ -93,6 +93,21 @@ def test_a_stop_that_did_nothing_and_a_frame_after_it_are_seen() -> None:
     assert "not stopped" in {one.partition(":")[0] for one in violations(world)}
 
 
+def test_a_stop_that_comes_again_word_for_word_is_answered_and_stops_nobody_who_was_moved_since() -> None:
+    world = _world(flight_s=0.1)
+    world.wait(10_000)
+    world.order(Order(action=_STOP, node=1))
+    world.wait(3_000)
+    world.order(Order(action=_TURN, node=1))
+    world.wait(3_000)
+    again = world.repeat(1)
+    assert again is not None
+    assert again.request.action is _STOP
+    assert _kinds(world) == set()
+    assert again.last is not None
+    assert again.last.stage is Stage.BIOBOT_CONFIRMED
+
+
 def test_stages_that_are_late_missing_or_too_many_are_seen() -> None:
     world = _world(flight_s=0.1)
     _turns(world, n=4, every_ms=2_600)
@@ -134,6 +149,25 @@ def test_a_batch_is_told_in_numbers_and_is_the_same_again() -> None:
     assert one.broken == ""
     assert one.counts["histories"] >= 10
     assert one.counts["trains at an electrode"] > 0
+
+
+def _can_not(world: World) -> None:
+    """Have all that was announced say that nobody can follow walls."""
+    world.announced[:] = [dataclasses.replace(one, can_follow_walls=False) for one in world.announced]
+
+
+def test_a_walk_along_walls_that_nobody_can_or_with_a_train_that_nobody_wants_is_seen() -> None:
+    world = _world(flight_s=0.1)
+    world.wait(10_000)
+    walk = world.order(Order(action=StimulationAction.FOLLOW_WALLS, node=1))
+    world.wait(3_000)
+    done = world.biobots[walk.request.node].log[-1]
+    assert (done.action, done.train) == (Action.FOLLOW_WALLS, None)
+    assert _kinds(world) == set()
+    frame = world.air.frames[-1]
+    frame.message = msgspec.structs.replace(frame.message, duration_ms=500)
+    _can_not(world)
+    assert {"along walls", "a train that nobody asked for"} <= {one.partition(":")[0] for one in violations(world)}
 
 
 # Faults that random histories found, as short as they could be made.
@@ -205,4 +239,18 @@ def test_limits_that_a_backpack_announces_while_the_disk_is_slow_hold_for_what_w
     world.wait(3_000)
     assert call.last is not None
     assert call.last.refusal is Refusal.PULSE
+    assert _kinds(world) == set()
+
+
+def test_a_backpack_that_starts_anew_while_the_disk_is_slow_is_not_sent_along_walls() -> None:
+    """What it can is not known before it has said so again: it may be another one's, put on the same insect."""
+    world = _world(flight_s=1.0)
+    world.set_disk(is_full=False, commit_ms=200)
+    call = world.order(Order(action=StimulationAction.FOLLOW_WALLS, node=1))
+    world.wait(100)
+    world.restart_backpack(1)
+    world.hear(1)
+    world.wait(3_000)
+    assert call.last is not None
+    assert call.last.refusal is Refusal.UNFIT_BIOBOT
     assert _kinds(world) == set()

@@ -1,0 +1,77 @@
+"""Laws of what is known of biobots: who is a landmark, and whose gateways have spoken of it."""
+
+import pytest
+
+from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction
+from firmware_protocol.contract.presence import Kind, Token
+from firmware_protocol.contract.records import Cause, Mode, ModeRecord
+from firmware_protocol.units import EVERYBODY, NS_PER_S, BootId, Nanoseconds, NodeId
+from mapper.fleet import Fleet
+
+ANCHOR_NS = 1_700_000_000 * NS_PER_S
+STOPPED_S = 100.0
+
+
+def a_mode(*, start_s: float, mode: Mode = Mode.S, cause: Cause = Cause.COMMAND, gateway: str = "base1") -> ModeRecord:
+    return ModeRecord(
+        gateway=gateway,
+        journal="j",
+        boot=BootId(1),
+        sequence=1,
+        revision=0,
+        offset=1,
+        wall_anchor_ns=Nanoseconds(ANCHOR_NS),
+        node=NodeId(7),
+        mode=mode,
+        cause=cause,
+        t_start_ns=Nanoseconds(round(start_s * NS_PER_S)),
+        t_end_ns=None,
+        error_ns=Nanoseconds(0),
+    )
+
+
+def stopped_fleet() -> Fleet:
+    """Return what knows that ``base1`` stopped all at 100 s."""
+    fleet = Fleet()
+    fleet.take_presence(Token(site="local", kind=Kind.GATEWAY, name="base1"), is_alive=True, now_ns=0)
+    fleet.take_stage(
+        CommandStage(
+            command_id="all",
+            gateway="base1",
+            node=EVERYBODY,
+            action=StimulationAction.STOP_ALL,
+            stage=Stage.ACCEPTED,
+            wall_ns=Nanoseconds(ANCHOR_NS + round(STOPPED_S * NS_PER_S)),
+        )
+    )
+    return fleet
+
+
+@pytest.mark.parametrize(
+    ("start_s", "is_halted"),
+    [(10.0, False), (STOPPED_S, True), (STOPPED_S - 0.2, True), (STOPPED_S + 5, True), (STOPPED_S + 100, False)],
+    ids=["it stood before", "it stood at once", "its clock is late", "it stood after a repetition", "it was told so later"],
+)
+def test_who_stands_because_all_were_stopped_is_no_landmark(start_s: float, is_halted: bool) -> None:
+    fleet = stopped_fleet()
+    fleet.take_modes([a_mode(start_s=start_s)])
+    (view,) = fleet.biobots(now_ns=0)
+    assert (view.is_halted, view.is_landmark) == (is_halted, not is_halted)
+    fleet.take_modes([a_mode(start_s=start_s + 0.1, mode=Mode.CRW)])
+    (view,) = fleet.biobots(now_ns=0)
+    assert (view.is_halted, view.is_landmark) == (False, False)
+
+
+def test_a_stop_of_all_at_one_gateway_halts_nobody_at_another() -> None:
+    fleet = stopped_fleet()
+    fleet.take_modes([a_mode(start_s=STOPPED_S, gateway="base2")])
+    (view,) = fleet.biobots(now_ns=0)
+    assert view.is_landmark
+
+
+def test_every_gateway_that_spoke_of_a_biobot_is_named_the_last_first() -> None:
+    fleet = Fleet()
+    assert fleet.hearers_of(NodeId(7)) == []
+    for start_s, gateway in ((1.0, "base2"), (3.0, "base3"), (2.0, "base1")):
+        fleet.take_modes([a_mode(start_s=start_s, gateway=gateway)])
+    assert fleet.hearers_of(NodeId(7)) == ["base3", "base2", "base1"]
