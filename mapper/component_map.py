@@ -9,14 +9,14 @@ import numpy as np
 from mapper.betti import judge_intervals
 from mapper.embedding import embed_in_plane
 from mapper.encounter_graph import EncounterGraph
-from mapper.metric import EncounterMetric, Metric, ProfileMetric, profile_metric, times_to
+from mapper.metric import EncounterMetric, Metric, ProfileMetric, distances_to, profile_metric, times_to
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
 from mapper.profiles import bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
-from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
+from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon, limit_epsilon
 from mapper.subsampling import subsample_maxmin
-from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, Recipe, read_only
+from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, LandmarkPlaces, MetricKind, Recipe, read_only
 from mapper.views import ONE_VIEW, Views, count_views
 
 MIN_LANDMARKS = 3
@@ -55,6 +55,7 @@ def map_component(
     index: int,
     n_points: int,
     ticks_per_length: float,
+    origin_ns: int,
     begin: Callable[[str], None],
 ) -> PlacedComponent:
     """Run the stages on one connected graph.
@@ -67,6 +68,8 @@ def map_component(
         Size of the subsample.
     ticks_per_length
         Ticks in one unit of length of the map.
+    origin_ns
+        When the first encounter of all began [ns].
     begin
         Told the name of each stage before it begins.
 
@@ -97,6 +100,8 @@ def map_component(
         epsilon = choose_epsilon(loops[real[1]], loops[~real[1]], merges[np.isfinite(merges[:, 1]), 1])
     else:
         epsilon = recipe.epsilon_share * diameter
+    if views.number > 1:
+        epsilon = limit_epsilon(lengths, epsilon)
     return PlacedComponent(
         summary=ComponentMap(
             n_encounters=graph.n_encounters,
@@ -111,6 +116,7 @@ def map_component(
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
+            places=_locate_landmarks(graph, metric, sample.vertices, origin_ns=origin_ns, ticks_per_length=ticks_per_length),
         ),
         encounters=graph.first_encounter[sample.vertices].astype(np.int64),
         coordinates=embedding.coordinates,
@@ -118,6 +124,19 @@ def map_component(
         skeleton=build_skeleton(lengths, epsilon=epsilon),
         n_anchors=n_anchors,
         warnings=warnings,
+    )
+
+
+def _locate_landmarks(
+    graph: EncounterGraph, metric: Metric, points: IntArray, *, origin_ns: int, ticks_per_length: float
+) -> LandmarkPlaces:
+    node, begin, end = graph.stands.T
+    return LandmarkPlaces(
+        node=read_only(node.copy()),
+        t_start_ns=read_only(origin_ns + begin // 2),
+        t_end_ns=read_only(origin_ns + end // 2),
+        to_points=read_only(distances_to(metric, graph.landmarks, points) / ticks_per_length),
+        between=read_only(distances_to(metric, graph.landmarks, graph.landmarks) / ticks_per_length),
     )
 
 

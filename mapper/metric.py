@@ -5,6 +5,8 @@ A metric answers for the vertices of one connected encounter graph; a vertex sta
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from mapper.encounter_graph import EncounterGraph
 from mapper.types import FloatArray, IntArray, ProfileNorm
 
@@ -46,6 +48,19 @@ def profile_metric(graph: EncounterGraph, references: IntArray, *, norm: Profile
         Distinct vertices, shape (l,), at least one; usually ``graph.landmarks``.
     """
     return ProfileMetric(graph=graph, profiles=times_to(graph, references), norm=norm)
+
+
+def distances_to(metric: Metric, vertices: IntArray, points: IntArray) -> FloatArray:
+    """Measure how far some distinct vertices, shape (k,), are from others, shape (m,): [ticks], shape (k, m)."""
+    match metric:
+        case EncounterMetric(graph=graph):
+            return times_to(graph, vertices)[points].T
+        case ProfileMetric(profiles=profiles, norm=norm):
+            found = np.empty((len(vertices), len(points)))
+            for row, vertex in enumerate(vertices):
+                differences = np.abs(profiles[points] - profiles[vertex])
+                found[row] = differences.max(axis=1) if norm is ProfileNorm.MAX else np.sqrt((differences**2).mean(axis=1))
+            return found
 
 
 def times_to(graph: EncounterGraph, references: IntArray) -> FloatArray:

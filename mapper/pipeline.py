@@ -81,7 +81,16 @@ def compute_map(
             report(stage, (done + _STAGES.index(stage) / len(_STAGES)) / len(shares))
 
         placed.append(
-            map_component(parts[index], recipe, rules, index=index, n_points=n_points, ticks_per_length=ticks_per_length, begin=begin)
+            map_component(
+                parts[index],
+                recipe,
+                rules,
+                index=index,
+                n_points=n_points,
+                ticks_per_length=ticks_per_length,
+                origin_ns=int(table.t_start_ns.min()),
+                begin=begin,
+            )
         )
     report("done", 1.0)
     warnings = [*_warn_of_span(table), *_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]

@@ -161,6 +161,21 @@ class Points:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LandmarkPlaces:
+    """The l places of a component where landmarks stood, by which it can be joined to other maps.
+
+    ``node``, ``t_start_ns`` and ``t_end_ns``, shape (l,): who stood there, and from when to when [ns, the clock of the encounters; until the
+    end of the record where the stand lasted]. ``to_points``, shape (l, n_points), and ``between``, shape (l, l): distances [unit of the map].
+    """
+
+    node: IntArray
+    t_start_ns: IntArray
+    t_end_ns: IntArray
+    to_points: FloatArray
+    between: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ComponentMap:
     """One connected component of the encounter graph, mapped. Lengths are in the unit of the map.
 
@@ -169,7 +184,7 @@ class ComponentMap:
     further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
     where a landmark stood.
     ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``. ``reach``: how far the swarm saw at
-    one time, which is the diameter where it did not move on; None in maps of earlier versions.
+    one time, which is the diameter where it did not move on; None in maps of earlier versions. ``places`` is None in maps that were stored.
     """
 
     n_encounters: int
@@ -184,6 +199,7 @@ class ComponentMap:
     intervals: tuple[FloatArray, FloatArray]
     betti_numbers: tuple[int, int]
     reach: float | None = None
+    places: LandmarkPlaces | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
