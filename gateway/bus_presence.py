@@ -27,6 +27,10 @@ _TOLD_AGAIN_S = 1.0
 """Within this all tokens are told again after their subscriber was declared anew."""
 
 
+_FIRST_NUMBER = 1
+"""Of a beat that came before its token: it may be another session's of the same name, and this one's numbers are not to be behind it."""
+
+
 class CommanderListener(Protocol):
     """Hears of commanders, in the loop."""
 
@@ -95,6 +99,8 @@ class CommanderDoor:
         self._untold: set[str] = set()
         """Those of before, while it is declared anew, who have not been told of again."""
         self._news: dict[str, _News] = {}
+        self._early: dict[str, int] = {}
+        """When those were last heard whose tokens were not told of."""
 
     def begin_anew(self) -> None:
         """Take note that all tokens that there are will be told again now: who is not told of soon went unseen. From any thread."""
@@ -124,6 +130,8 @@ class CommanderDoor:
             is_first, news = not self._news, self._news.setdefault(name, _News())
             if is_there:
                 news.came = True
+                if (early_ns := self._early.pop(name, None)) is not None:
+                    news.beat = (_FIRST_NUMBER, early_ns)
             else:
                 news.went, news.came, news.beat = True, False, None
         if is_first:
@@ -138,11 +146,19 @@ class CommanderDoor:
             return
         with self._lock:
             if name not in self._present:
-                return  # nobody's who is there
+                self._keep_early(name, time.monotonic_ns())
+                return
             is_first, news = not self._news, self._news.setdefault(name, _News())
             news.beat = (beat.number, time.monotonic_ns())
         if is_first:
             self._loop.call_soon_threadsafe(self._hand_over)
+
+    def _keep_early(self, name: str, at_ns: int) -> None:
+        """Keep a beat of whom no token was told of yet: it may be on its way, and that beat the only one before a link is cut."""
+        self._early.pop(name, None)
+        self._early[name] = at_ns
+        if len(self._early) > _MAX_COMMANDERS:
+            del self._early[next(iter(self._early))]
 
     def _drop_untold(self) -> None:
         with self._lock:

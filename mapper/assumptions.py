@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 from firmware_protocol.units import NS_PER_S
 from mapper.contact_statistics import ContactStatistics
 from mapper.reading import ProximityLog
-from mapper.types import Assumption, MapResult, Standing
+from mapper.types import KNOWN_PLACES, Assumption, MapResult, Standing
 
 # Own choices: of simulated runs (docs/your-own-data.md) unevenness is 1.0 to 2.3 and others at once 0.3 to 0.8; of people at conferences
-# 6 and 3 to 5, of calves in a pen 4.6 and 2.6.
+# 6 and 3 to 5, of calves in a pen 4.6 and 2.7.
 _MOST_UNEVENNESS = 3.0
 _MOST_AT_ONCE = 1.5
 _FEWEST_WALKING = 10  # with as many, an obstacle of 2 m in 5 m x 5 m is not found in an hour (docs/feasibility.md)
@@ -33,9 +33,9 @@ def judge_assumptions(log: ProximityLog, result: MapResult, standing: Standing, 
         *_strength_is_used(log),
         _known_speed(result),
         Assumption(
-            name="known_places",
+            name=KNOWN_PLACES,
             holds=False,
-            text="where the map lies is not known: it may be turned and mirrored, and fits no plan before places in it are known",
+            text="where the map lies is not known: it may be turned and mirrored, and fits no plan before places in it are known (--pins)",
         ),
     ]
     return (*judged, _hole_count(judged))

@@ -1,7 +1,7 @@
 """Commands of the mapper, their flags and outputs.
 
-``run`` maps a file, ``merge`` several as one, ``serve`` keeps a map up to date, ``feasibility`` foretells what a map will show, ``warm-up``
-sees to what they need, ``config`` prints what a configuration file may say.
+``run`` maps a file, ``route`` finds ways around its obstacles, ``merge`` maps several as one, ``serve`` keeps a map up to date,
+``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need, ``config`` prints what a configuration file may say.
 """
 
 import argparse
@@ -10,9 +10,11 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from firmware_protocol.errors import ConfigurationError
 from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
@@ -21,7 +23,12 @@ from mapper.output_files import STANDARD, check_outputs, is_standard_output, wri
 from mapper.reading_flags import add_reading_arguments, reading_options
 from mapper.types import MapResult, Method, MetricKind
 
+if TYPE_CHECKING:
+    from mapper.pins import Pinned
+
 _MAX_ID = 2**63 - 1
+MAX_CLASSES = 16
+"""As `mapper.routes` has it, which takes numpy to import."""
 _MAX_SHIFT_S = 4e9  # as times of the files
 _NEGATIVE = re.compile(r"-([0-9]+\.?[0-9]*|\.[0-9]+)[eE][+-]?[0-9]+|-(inf|infinity|nan)", re.ASCII | re.IGNORECASE)
 _EXIT_FAILED, _EXIT_USAGE = 1, 2
@@ -54,22 +61,22 @@ def run_command_line(given: Sequence[str]) -> int:
 def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     if args.check_config:
         return _check_configuration(args)
-    if args.command == "run":
-        return _run(args, parser)
-    if args.command == "merge":
-        return _merge(args, parser)
     if args.command == "serve":
         from mapper.service import main as serve  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
 
         return serve(args)
-    if args.command == "feasibility":
-        return _foretell(args)
-    if args.command == "warm-up":
-        return _warm_up(args)
-    if args.command == "config":
-        return _print_config(args)
+    commands: dict[str, Callable[[], int]] = {
+        "run": lambda: _run(args, parser),
+        "route": lambda: _route(args, parser),
+        "merge": lambda: _merge(args, parser),
+        "feasibility": lambda: _foretell(args),
+        "warm-up": lambda: _warm_up(args),
+        "config": lambda: _print_config(args),
+    }
+    if args.command in commands:
+        return commands[args.command]()
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, merge, serve, feasibility, warm-up or config"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, route, merge, serve, feasibility, warm-up or config"], status=_EXIT_USAGE)
 
 
 def _check_configuration(args: argparse.Namespace) -> int:
@@ -112,14 +119,18 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     from mapper.encounter_csv import read_modes  # noqa: PLC0415
     from mapper.kernels import choose_kernels  # noqa: PLC0415
     from mapper.log_map import map_log  # noqa: PLC0415
+    from mapper.map_sketch import sketch_map  # noqa: PLC0415
+    from mapper.pins import know_places, place_pins, read_pins  # noqa: PLC0415
     from mapper.pipeline import MIN_ENCOUNTERS  # noqa: PLC0415
-    from mapper.reading import read_ids, read_log  # noqa: PLC0415
+    from mapper.places import rows_to_place  # noqa: PLC0415
+    from mapper.reading import read_ids, read_log, read_time  # noqa: PLC0415
     from mapper.time_limits import make_limits  # noqa: PLC0415
 
-    inputs = _given(args.encounters, args.modes)
+    inputs = _given(args.encounters, args.modes, args.pins)
     if inputs.count(STANDARD) > 1:
         parser.error("run: standard input can be given for one file")
-    check_outputs(_given(args.json, args.svg, args.png), [*inputs, *_given(args.config)])
+    check_outputs(_given(args.json, args.svg, args.png, args.geojson), [*inputs, *_given(args.config)])
+    pins = read_pins(args.pins) if args.pins is not None else None
     limits = make_limits(window_s=args.window_s, from_s=args.from_s, until_s=args.until_s)
     kernels = choose_kernels()
     log = read_log(args.encounters, reading_options(args))
@@ -127,7 +138,7 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     if len(table) < MIN_ENCOUNTERS:
         n_outside = int(facts["n_before"] or 0) + int(facts["n_after"] or 0)
         raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=str(args.encounters), n_outside=n_outside)
-    spells = None if args.modes is None else read_modes(args.modes, number_of=log.names.number_of)
+    spells = None if args.modes is None else read_modes(args.modes, number_of=log.names.number_of, time_of=read_time)
     stationary = None if args.stationary is None else read_ids(args.stationary)
     if kernels.shortfall is not None:
         print(f"biobot-mapper: warning: {kernels.shortfall}", file=sys.stderr)
@@ -140,13 +151,27 @@ def _run(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
             stationary=stationary,
             searches=args.find_stationary,
             kernels=kernels,
+            also_place=rows_to_place([pin.place for pin in pins or ()], table, number_of=log.names.number_of),
         )
     except MemoryError as error:
         raise OutOfMemoryError(n_encounters=len(table)) from error
-    for warning in result.warnings:
+    pinned = None
+    if pins is not None:
+        pinned = place_pins(pins, sketch_map(result))
+        result = replace(result, assumptions=know_places(result.assumptions, pinned))
+    for warning in (*result.warnings, *(() if pinned is None else pinned.warnings)):
         print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
-    _write_outputs(result, facts, args, part=limits.describe())
+    _write_outputs(result, facts, args, part=limits.describe(), pinned=pinned)
     return 0
+
+
+def _route(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    if args.source is None or args.begin is None or args.end is None:
+        parser.error("route: give a file of encounters or a map, --from and --to")
+    config = load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
+    from mapper.route_command import run  # noqa: PLC0415  # see _run
+
+    return run(args, make_recipe(config.recipe))
 
 
 def _merge(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
@@ -155,11 +180,11 @@ def _merge(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
     config = load_mapper_config(args.config, environment=os.environ, flags=_recipe_flags(args))
     from mapper.merge_command import merge  # noqa: PLC0415  # see _run
 
-    check_outputs(_given(args.json, args.svg, args.png), _given(*args.inputs, *args.modes, args.config))
+    check_outputs(_given(args.json, args.svg, args.png, args.geojson), _given(*args.inputs, *args.modes, args.config))
     result, facts = merge(args, make_recipe(config.recipe))
     for warning in result.warnings:
         print(f"biobot-mapper: warning: {warning}", file=sys.stderr)
-    _write_outputs(result, facts, args, part=f"{len(args.inputs)} recordings or maps as one")
+    _write_outputs(result, facts, args, part=f"{len(args.inputs)} recordings or maps as one", pinned=None)
     return 0
 
 
@@ -200,30 +225,45 @@ def _given(*paths: Path | None) -> list[Path]:
     return [path for path in paths if path is not None]
 
 
-def _write_outputs(result: MapResult, facts: Mapping[str, object], args: argparse.Namespace, *, part: str | None) -> None:
+def _write_outputs(
+    result: MapResult, facts: Mapping[str, object], args: argparse.Namespace, *, part: str | None, pinned: "Pinned | None"
+) -> None:
+    from mapper.geojson import describe_frame, summarize_frame, to_geojson  # noqa: PLC0415  # see _run
+    from mapper.map_file import merging_facts  # noqa: PLC0415  # see _run
     from mapper.render import render_map  # noqa: PLC0415  # see _run
     from mapper.report import summarize, to_json_object  # noqa: PLC0415  # see _run
 
     if args.svg is not None:
-        write_output(args.svg, render_map(result, image_format="svg", part=part))
+        write_output(args.svg, render_map(result, image_format="svg", part=part, pinned=pinned))
     if args.png is not None:
-        write_output(args.png, render_map(result, image_format="png", part=part))
+        write_output(args.png, render_map(result, image_format="png", part=part, pinned=pinned))
     if args.json is not None:
-        text = json.dumps({**to_json_object(result), **facts}, allow_nan=False) + "\n"
+        frame = {"operator_frame": None if pinned is None else describe_frame(result, pinned)}
+        text = json.dumps({**to_json_object(result), **merging_facts(result), **frame, **facts}, allow_nan=False) + "\n"
         write_output(args.json, text.encode())
-    if not any(map(is_standard_output, _given(args.json, args.svg, args.png))):
+    if args.geojson is not None:
+        write_output(args.geojson, (json.dumps(to_geojson(result, pinned=pinned), allow_nan=False) + "\n").encode())
+    if not any(map(is_standard_output, _given(args.json, args.svg, args.png, args.geojson))):
         print(summarize(result, part=part))
+        if pinned is not None:
+            print(summarize_frame(pinned))
 
 
 def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
     parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
-    commands = parser.add_subparsers(dest="command", metavar="{run,merge,serve,feasibility,warm-up,config}")
+    commands = parser.add_subparsers(dest="command", metavar="{run,route,merge,serve,feasibility,warm-up,config}")
     about = "Make a map of a log of contacts."
     run = commands.add_parser("run", help="make a map of a log of contacts", usage="%(prog)s FILE [options]", description=about)
     _add_common(run, default=argparse.SUPPRESS)
     _add_run_arguments(run)
+    about = (
+        "Find routes around obstacles between two places: the shortest of each kind, where ways of one kind can be drawn into each other."
+    )
+    route = commands.add_parser("route", help="find routes around obstacles between two places", description=about)
+    _add_common(route, default=argparse.SUPPRESS)
+    _add_route_arguments(route)
     about = "Make one map of several recordings: successive windows of a swarm that moves on, or sites that share landmarks or biobots."
     merge = commands.add_parser("merge", help="make one map of several recordings", description=about)
     _add_common(merge, default=argparse.SUPPRESS)
@@ -267,31 +307,52 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
     run.add_argument("--from-s", type=float, metavar="T", help="leave out what was over at this time of the file")
     run.add_argument("--until-s", type=float, metavar="T", help="leave out what had not begun at this time of the file")
     run.add_argument("--window-s", type=float, metavar="S", help="leave out what was over S before the newest encounter's end")
+    run.add_argument("--pins", type=Path, metavar="FILE", help="TOML, JSON or CSV: known places that fix the map in your own frame")
     _add_map_arguments(run)
 
 
 def _add_merge_arguments(merge: argparse.ArgumentParser) -> None:
     merge.add_argument(
-        "inputs", type=Path, nargs="*", metavar="INPUT", help="CSV of encounters, or a directory with encounters.csv and modes.csv"
+        "inputs",
+        type=Path,
+        nargs="*",
+        metavar="INPUT",
+        help="CSV of encounters, directory with encounters.csv and modes.csv, or JSON of a map",
     )
     merge.add_argument(
         "--modes", type=Path, action="append", default=[], metavar="FILE", help="CSV of modes; once for each CSV of encounters, in order"
     )
-    merge.add_argument("--shift-s", type=_seconds, metavar="S,S", help="add to the times of each input, in order: clocks that differ")
+    merge.add_argument("--shift-s", type=_seconds, metavar="S,S", help="add to the times of each recording, in order: clocks that differ")
     merge.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
     _add_map_arguments(merge)
 
 
 def _add_map_arguments(run: argparse.ArgumentParser) -> None:
     """Add what all commands that make a map take: the recipe, and where results go."""
-    run.add_argument("--speed-mps", type=float, metavar="V", help="walking speed [m/s]: lengths are then metres, else seconds")
-    run.add_argument("--method", choices=[str(method) for method in Method], help="the whole recipe (default: default)")
-    run.add_argument(
-        "--metric", choices=[str(metric) for metric in MetricKind], help="how encounters are compared (default: by the method)"
-    )
+    _add_recipe_arguments(run)
     run.add_argument("--json", type=Path, metavar="FILE", help="write the map as JSON; - is standard output, then without the summary")
     run.add_argument("--svg", type=Path, metavar="FILE", help="write a picture; - as above")
     run.add_argument("--png", type=Path, metavar="FILE", help="write a picture; - as above")
+    run.add_argument("--geojson", type=Path, metavar="FILE", help="write the map as GeoJSON; - as above")
+
+
+def _add_route_arguments(route: argparse.ArgumentParser) -> None:
+    route.add_argument("source", type=Path, nargs="?", metavar="ENCOUNTERS|MAP.json", help="CSV of encounters, or what run --json wrote")
+    forms = "landmark:ID[@T], biobot:ID@T, point:INDEX, or xy:X,Y[,COMPONENT]; T in seconds"
+    route.add_argument("--from", dest="begin", metavar="PLACE", help=forms)
+    route.add_argument("--to", dest="end", metavar="PLACE", help="as --from")
+    route.add_argument("--classes", type=_classes, default=3, metavar="K", help="routes of so many kinds at most (default: %(default)s)")
+    route.add_argument("--json", type=Path, nargs="?", const=STANDARD, metavar="FILE", help="write JSON; without FILE to standard output")
+    route.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
+    add_reading_arguments(route)
+    _add_recipe_arguments(route)
+
+
+def _add_recipe_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--speed-mps", type=float, metavar="V", help="walking speed [m/s]: lengths are then metres, else seconds")
+    parser.add_argument("--method", choices=[str(method) for method in Method], help="the whole recipe (default: default)")
+    metrics = [str(metric) for metric in MetricKind]
+    parser.add_argument("--metric", choices=metrics, help="how encounters are compared (default: by the method)")
 
 
 def _join_negative_numbers(given: Sequence[str]) -> list[str]:
@@ -307,6 +368,12 @@ def _join_negative_numbers(given: Sequence[str]) -> list[str]:
 
 def _recipe_flags(args: argparse.Namespace) -> dict[str, object]:
     return {f"recipe.{name}": getattr(args, name, None) for name in ("method", "metric", "speed_mps")}
+
+
+def _classes(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MAX_CLASSES):
+        raise argparse.ArgumentTypeError(f"{text!r}; wanted a whole number from 1 to {MAX_CLASSES}")
+    return int(text)
 
 
 def _ids(text: str) -> tuple[int, ...]:

@@ -26,6 +26,7 @@ _PAPER = Recipe(
     profile_norm=ProfileNorm.MAX,
     moving_time=False,
     bracketed=False,
+    placed=False,
     smoothing_share=0.0,
     max_candidates=0,
     outlier_k=10,
@@ -44,6 +45,7 @@ _DEFAULT = replace(
     profile_norm=ProfileNorm.MAX,
     moving_time=True,
     bracketed=True,
+    placed=True,
     smoothing_share=0.001,
     max_candidates=20_000,
     n_points=400,
@@ -70,6 +72,8 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         What lies between two encounters of a biobot is the time that it walked, in place of all that passed.
     bracketed
         Profiles are the middle of their bounds, and badly bounded encounters are outliers; else outlier_k finds those.
+    placed
+        Bracketed encounters are placed in the plane along the tracks of biobots, and those placed best are compared.
     smoothing_share
         Bracketed profiles are averaged over this share of the encounters around each.
     max_candidates
@@ -93,6 +97,7 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     profile_norm: ProfileNorm | None = None
     moving_time: bool | None = None
     bracketed: bool | None = None
+    placed: bool | None = None
     smoothing_share: Annotated[float, Meta(ge=0, le=0.1)] | None = None
     max_candidates: Annotated[int, Meta(ge=0, le=10_000_000)] | None = None
     outlier_k: Annotated[int, Meta(ge=1, le=1000)] | None = None

@@ -9,10 +9,10 @@ from typing import Final
 
 from mapper.changes import Changes, Topic
 from mapper.clock_watch import ClockWatch, clock_shifts
-from mapper.errors import JobError, MapError, NoMapYetError, StoreError, WorkerDiedError
+from mapper.errors import JobError, MapError, NoMapYetError, PlaceError, RouteError, StoreError, TooManyError, WorkerDiedError
 from mapper.fleet import Fleet
 from mapper.log import EventLog
-from mapper.map_job import MapDocuments, OutOfStep, TooFew, draw_map, make_map
+from mapper.map_job import MapDocuments, OutOfStep, TooFew, draw_map, find_map_routes, make_map, write_geojson
 from mapper.map_snapshot import FinishedMap, MapSnapshot, fingerprint, pack, unpack
 from mapper.render import ImageFormat
 from mapper.store import KeptMap, Store
@@ -26,6 +26,8 @@ _MAX_BACKOFF_S: Final = 30.0
 # A map is told to be slow after this, if it also takes so many times as long as the last.
 _SLOW_S: Final = 30.0
 _SLOW_TIMES: Final = 10.0
+MAX_SEARCHES: Final = 8
+"""So many may wait for routes at a time."""
 # A map is some hundred kilobytes: flash memory wears.
 KEEP_PERIOD_S: Final = 30.0
 """A finished map is kept in the store no sooner than this after the one before [s]."""
@@ -106,7 +108,9 @@ class CurrentMap:
         self._unkept = asyncio.Event()
         self._artist = Worker(name="picture worker")
         self._pictures: dict[ImageFormat, tuple[int, bytes]] = {}
+        self._geojson: tuple[int, bytes] = (0, b"")
         self._picture_lock = asyncio.Lock()
+        self._n_searches = 0
 
     @property
     def latest(self) -> MapSnapshot | None:
@@ -167,6 +171,42 @@ class CurrentMap:
         if self._latest is None:
             raise self.waiting_for
         return self._latest
+
+    async def routes(self, begin: str, end: str, *, classes: int) -> tuple[MapSnapshot, bytes]:
+        """Return the last finished map, and routes on it between two places as JSON.
+
+        Raises
+        ------
+        PlaceError, RouteError
+            The map does not show a place, or no way between them.
+        TooManyError
+            Others wait for routes already.
+        NoMapYetError, WorkerDiedError, JobError
+            There is no map, or it could not be searched.
+        """
+        snapshot = self.require()
+        if self._n_searches >= MAX_SEARCHES:
+            raise TooManyError(what="searches for routes", limit=MAX_SEARCHES)
+        self._n_searches += 1
+        try:
+            found = await self._artist.run(find_map_routes, snapshot.drawing, begin, end, classes=classes)
+        finally:
+            self._n_searches -= 1
+        if isinstance(found, bytes):
+            return snapshot, found
+        if found.place is not None:
+            raise PlaceError(place=found.place, problem=found.problem, next_step=found.next_step)
+        raise RouteError(begin=begin, end=end, problem=found.problem, next_step=found.next_step)
+
+    async def geojson(self) -> tuple[MapSnapshot, bytes]:
+        """Return the last finished map and its GeoJSON, written at the first request; raises what `picture` raises."""
+        async with self._picture_lock:
+            snapshot = self.require()
+            version, document = self._geojson
+            if version != snapshot.version:
+                document = await self._artist.run(write_geojson, snapshot.drawing)
+                self._geojson = (snapshot.version, document)
+            return snapshot, document
 
     async def picture(self, image_format: ImageFormat) -> tuple[MapSnapshot, bytes]:
         """Return the last finished map and its picture, drawn at the first request.

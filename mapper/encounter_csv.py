@@ -95,20 +95,24 @@ def read_encounters(path: Path, *, kernels: KernelsKind | None = None) -> Encoun
     return make_encounter_table(t_start_ns=start, t_end_ns=end, id1=id1, id2=id2)
 
 
-def read_modes(path: Path, *, number_of: Callable[[str], int | None] | None = None) -> tuple[ModeSpell, ...]:
+def read_modes(
+    path: Path, *, number_of: Callable[[str], int | None] | None = None, time_of: Callable[[str, str], int] | None = None
+) -> tuple[ModeSpell, ...]:
     """Read a file with the columns ``t_start_s,t_end_s,id,mode,cause``; an empty ``t_end_s`` is a spell that lasts.
 
     Parameters
     ----------
     number_of
         Gives the number of an id where ids are names; spells of ids that have none are left out. None takes whole numbers alone.
+    time_of
+        Gives the time [ns] of the name of a column and its text, or a ValueError that says what is wrong. None takes seconds alone.
 
     Raises
     ------
     InputFileError
         As for `read_encounters`.
     """
-    parse = _parse_spell if number_of is None else partial(_parse_spell, number_of=number_of)
+    parse = partial(_parse_spell, number_of=number_of, time_of=time_of)
     spells = _read_rows(path, read_bytes(path), columns=MODE_COLUMNS, parse=parse)
     return tuple(spell for spell in spells if spell is not None)
 
@@ -272,9 +276,11 @@ def _parse_encounter(row: Mapping[str, str]) -> tuple[int, int, int, int]:
     return start, end, first, second
 
 
-def _parse_spell(row: Mapping[str, str], number_of: Callable[[str], int | None] | None = None) -> ModeSpell | None:
-    start = _time_ns(row, "t_start_s")
-    end = _time_ns(row, "t_end_s") if row["t_end_s"] else None
+def _parse_spell(
+    row: Mapping[str, str], *, number_of: Callable[[str], int | None] | None, time_of: Callable[[str, str], int] | None
+) -> ModeSpell | None:
+    start = _time_ns(row, "t_start_s", time_of)
+    end = _time_ns(row, "t_end_s", time_of) if row["t_end_s"] else None
     if end is not None and end < start:
         raise _FieldError(f"t_end_s {row['t_end_s']} is before t_start_s {row['t_start_s']}")
     node = _node(row, "id") if number_of is None else number_of(row["id"])
@@ -284,8 +290,13 @@ def _parse_spell(row: Mapping[str, str], number_of: Callable[[str], int | None] 
     return ModeSpell(node=NodeId(node), t_start_ns=start, t_end_ns=end, mode=mode, cause=cause)
 
 
-def _time_ns(row: Mapping[str, str], name: str) -> int:
+def _time_ns(row: Mapping[str, str], name: str, time_of: Callable[[str, str], int] | None = None) -> int:
     text = row[name]
+    if time_of is not None:
+        try:
+            return time_of(name, text)
+        except ValueError as error:
+            raise _FieldError(str(error)) from error
     if not text:
         raise _FieldError(f"{name} is empty; wanted seconds, as 12.5")
     if not _DECIMAL.fullmatch(text):

@@ -14,7 +14,7 @@ import numpy as np
 
 from firmware_protocol.contract.records import Cause, Mode
 from mapper.kernels import Contraction, Kernels, Links, Rows, Stands, VertexArray, choose_kernels
-from mapper.types import EncounterTable, IntArray, ModeSpell
+from mapper.types import BoolArray, EncounterTable, IntArray, ModeSpell
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,6 +85,18 @@ class Components(Sequence[EncounterGraph]):
         """Say whether any component has a landmark."""
         return bool(self._whole.is_landmark.any())
 
+    def locate(self, encounters: IntArray) -> tuple[IntArray, IntArray]:
+        """Say where some encounters, shape (k,), are: number of the component, and vertex within it, shape (k,) each."""
+        vertices = self._whole.vertex_of[encounters]
+        rank = np.empty(len(self._numbers), dtype=np.int64)
+        rank[self._numbers] = np.arange(len(self._numbers))
+        numbers = self._whole.component
+        order = np.argsort(numbers, kind="stable")
+        begins = np.searchsorted(numbers[order], np.arange(len(self._numbers)))
+        within = np.empty(len(numbers), dtype=np.int64)
+        within[order] = np.arange(len(numbers)) - begins[numbers[order]]
+        return rank[numbers[vertices]], within[vertices]
+
     def __len__(self) -> int:
         return len(self._numbers)
 
@@ -112,9 +124,7 @@ class Components(Sequence[EncounterGraph]):
                 neighbours=new_number[rows.neighbours[is_edge]],
                 times=rows.times[is_edge],
             )
-            links = Links(
-                sources=new_number[links.sources[is_link]], targets=new_number[links.targets[is_link]], times=links.times[is_link]
-            )
+            links = select_links(links, is_link, new_number)
         else:
             is_inside = np.ones(len(whole.component), dtype=bool)
         return EncounterGraph(
@@ -126,6 +136,18 @@ class Components(Sequence[EncounterGraph]):
             stands=self._stands[is_inside[whole.is_landmark]],
             kernels=self._kernels,
         )
+
+
+def select_links(links: Links, is_chosen: BoolArray, new_number: VertexArray) -> Links:
+    """Take some of the links, shape (k,), between vertices numbered anew, shape (v,); a link whose one before is not taken has none."""
+    number = np.where(is_chosen, np.cumsum(is_chosen, dtype=np.int32) - np.int32(1), np.int32(-1))
+    before = links.before[is_chosen]
+    return Links(
+        sources=new_number[links.sources[is_chosen]],
+        targets=new_number[links.targets[is_chosen]],
+        times=links.times[is_chosen],
+        before=np.where(before < 0, np.int32(-1), number[before]),
+    )
 
 
 def build_components(

@@ -4,8 +4,13 @@ MapError
 ├── InputFileError         a file of encounters or modes cannot be used; its faults are listed line by line
 ├── TooFewEncountersError  there is nothing to make a map of yet
 ├── TooManyEncountersError the kernels cannot number so many encounters
+├── UnlikeMapsError        maps to be joined were made in different ways
 ├── OutOfMemoryError       there is not enough memory for so many encounters
 ├── UnknownBiobotError     a biobot was named that is in no encounter
+├── MapDocumentError       a file or object that should be a map is none
+├── PlaceError             a place was named that the map does not show
+├── PinsError              pins do not fix a frame
+├── RouteError             no route leads from one place to another on the map
 ├── OutputFileError        a result cannot be written where it was asked for
 ├── EngineMissingError     a library that this step needs is not installed
 ├── KernelsError           the kernels that were asked for cannot be used
@@ -72,6 +77,15 @@ class TooManyEncountersError(MapError):
         self.maximum = maximum
 
 
+class UnlikeMapsError(MapError):
+    """Maps to be joined were made in different ways, so their distances cannot be compared."""
+
+    def __init__(self, *, what: str, values: Sequence[str]) -> None:
+        super().__init__(f"the maps differ in {what}: {', '.join(values)}; make them anew with the same, or merge the encounters")
+        self.what = what
+        self.values = tuple(values)
+
+
 class OutOfMemoryError(MapError):
     """There is not enough memory for a map of so many encounters; None where not even all of them could be read."""
 
@@ -89,6 +103,42 @@ class UnknownBiobotError(MapError):
         named = ", ".join(map(str, ids))
         super().__init__(f"no encounter has a biobot of --stationary {named}; compare the ids with the columns of ids")
         self.ids = tuple(ids)
+
+
+class MapDocumentError(MapError):
+    """What should be the JSON of a map is none, or lacks what is needed of it."""
+
+    def __init__(self, *, source: str, problem: str) -> None:
+        super().__init__(f"{source}: no map that can be used: {problem}; give what this version's run --json or /api/v1/map wrote")
+        self.source = source
+        self.problem = problem
+
+
+class PlaceError(MapError):
+    """A place is not understood, or the map does not show it."""
+
+    def __init__(self, *, place: str, problem: str, next_step: str) -> None:
+        super().__init__(f"{place!r} {problem}; {next_step}")
+        self.place = place
+        self.problem = problem
+        self.next_step = next_step
+
+
+class PinsError(MapError):
+    """Pins do not fix where the map lies in the operator's frame; ``problems`` says why, one line each."""
+
+    def __init__(self, *, problems: Sequence[str]) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = tuple(problems)
+
+
+class RouteError(MapError):
+    """No route leads from one place to the other on the map."""
+
+    def __init__(self, *, begin: str, end: str, problem: str, next_step: str) -> None:
+        super().__init__(f"no route from {begin} to {end}: {problem}; {next_step}")
+        self.problem = problem
+        self.next_step = next_step
 
 
 class OutputFileError(MapError):

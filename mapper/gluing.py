@@ -1,9 +1,9 @@
 """Metric spaces that share places, glued to one: points of several maps, and the distances from those of one to those of another.
 
-Each map knows the distances between its own points and the places where landmarks stood. Whatever a map does not know of a landmark of another is
-bounded through the places that they share, and taken in the middle of the bounds, as `mapper.profiles` does for encounters. So every point of
-every map gets a profile over all landmarks, and points of different maps are as far apart as their profiles differ at most. Distances that
-a map knows are left as they are: a map glued to itself is itself.
+Each map knows the distances between its own points and the places where landmarks stood. What a map does not know of a landmark of
+another is bounded through the places that they share, and taken in the middle of the bounds, as `mapper.profiles` does for encounters. So
+every point of every map gets a profile over all landmarks, and points of different maps are as far apart as their profiles differ at most.
+Distances that a map knows are left as they are: a map glued to itself is itself.
 """
 
 from collections.abc import Sequence
@@ -16,11 +16,11 @@ from mapper.kernels import Kernels
 from mapper.profiles import bracket_profiles
 from mapper.types import BoolArray, FloatArray, IntArray
 
-# Of the places that two maps share: standard deviation across over along their line. Of fewer places, or flatter, the other side looks alike.
+# Of places that two maps share: spread across over spread along their line. Of fewer places, or flatter, the other side looks alike.
 _FLATTEST = 0.15
 _MIN_SHARED = 3
 # Shared points serve as references beside the landmarks, up to so many of both.
-_MAX_REFERENCES = 500
+_MAX_REFERENCES = 200
 _BLOCK = 64
 
 
@@ -58,7 +58,7 @@ def group_sheets(sheets: Sequence[Sheet]) -> list[list[int]]:
 
 
 def find_flat_joints(sheets: Sequence[Sheet]) -> list[tuple[int, int]]:
-    """List pairs of sheets that share places, but fewer than three, or places on a line: one may be the mirror image of what it should be."""
+    """List pairs of sheets that share places, but fewer than three, or places on a line: one may be mirrored."""
     flat = []
     for later, one in enumerate(sheets):
         for earlier, other in enumerate(sheets[:later]):
@@ -94,15 +94,17 @@ def glue(sheets: Sequence[Sheet], *, kernels: Kernels) -> Glued:
     points = np.flatnonzero(~is_landmark)
     distances = known[np.ix_(points, points)]
     if not np.isfinite(distances).all():
-        shared = np.flatnonzero(np.bincount(np.searchsorted(objects, np.concatenate([sheet.objects for sheet in sheets])), minlength=n) > 1)
-        landmarks = np.flatnonzero(is_landmark)
-        further = np.setdiff1d(shared, landmarks)
-        references = np.union1d(
-            landmarks,
-            further[np.linspace(0, len(further) - 1, min(len(further), max(0, _MAX_REFERENCES - len(landmarks)))).astype(np.int64)],
-        )
+        n_sheets = np.bincount(np.searchsorted(objects, np.concatenate([sheet.objects for sheet in sheets])), minlength=n)
+        references = _choose_references(is_landmark, n_sheets > 1)
         _fill(distances, bracket_profiles(_reach_all(known, references), references, kernels=kernels).middle[points])
     return Glued(objects=objects[points], distances=distances)
+
+
+def _choose_references(is_landmark: BoolArray, is_shared: BoolArray) -> IntArray:
+    """Take all landmarks, and of the points that several sheets know so many, evenly, as there is room for."""
+    landmarks, further = np.flatnonzero(is_landmark), np.flatnonzero(is_shared & ~is_landmark)
+    room = min(len(further), max(0, _MAX_REFERENCES - len(landmarks)))
+    return np.union1d(landmarks, further[np.arange(room) * len(further) // max(1, room)])
 
 
 def _reach_all(known: FloatArray, references: IntArray) -> FloatArray:

@@ -56,9 +56,9 @@ def join_maps(
 
     Notes
     -----
-    A point is the same in two maps if it is of the same pair and time; a place is, if the same landmark stood there at one time or without
-    a break. Of too many points each map gives those that were picked first, in proportion. Lengths of intervals are judged by the median reach
-    of the maps. Encounters that two maps share are counted twice, for maps do not list them.
+    A point is the same in two maps if it is of the same pair and time; a place is, if the same landmark stood there at one time, or without
+    a break. Of too many points each map gives those that were picked first, in proportion. Lengths of intervals are judged by the median
+    reach of the maps. Encounters that two maps share are counted twice, for maps do not list them.
     """
     parts = sorted((part for one in maps for part in one.components), key=_order)
     points = np.unique(np.concatenate([part.points for part in parts]), axis=0)
@@ -84,7 +84,9 @@ def join_maps(
                 f"{', '.join(named)} share fewer than three places, or places on a line: one may lie on the wrong side of it; "
                 "let more landmarks stand in both"
             )
-        placed.append(_map_group([parts[index] for index in group], [sheets[index] for index in group], recipe, rules, number, kernels))
+        placed.append(
+            _map_group([parts[index] for index in group], [sheets[index] for index in group], recipe, rules, index=number, kernels=kernels)
+        )
     return placed, points, warnings
 
 
@@ -132,7 +134,7 @@ def _needed(n: int, flat: Sequence[tuple[int, int]], sheets: Sequence[Sheet]) ->
 
 
 def _map_group(
-    parts: Sequence[LocalMap], sheets: Sequence[Sheet], recipe: Recipe, rules: tuple[BettiRule, BettiRule], index: int, kernels: Kernels
+    parts: Sequence[LocalMap], sheets: Sequence[Sheet], recipe: Recipe, rules: tuple[BettiRule, BettiRule], *, index: int, kernels: Kernels
 ) -> PlacedComponent:
     glued = glue(sheets, kernels=kernels)
     lengths = glued.distances
@@ -165,6 +167,7 @@ def _map_group(
         ),
         encounters=glued.objects,
         coordinates=embedding.coordinates,
+        others=np.zeros((0, 2)),
         holes=tuple(
             Hole(component=index, birth=birth, death=death, outline=outline)
             for (birth, death), outline in zip(loops[real[1]].tolist(), outlines, strict=True)

@@ -12,7 +12,7 @@ from mapper.kernels import Kernels
 from mapper.pipeline import compute_map
 from mapper.reading import ProximityLog
 from mapper.standing import choose_standing, number_given
-from mapper.types import EncounterTable, MapResult, ModeSpell, Recipe, StandingSource
+from mapper.types import EncounterTable, IntArray, MapResult, ModeSpell, Recipe, StandingSource
 from mapper.window import stationary_spells
 
 
@@ -25,6 +25,7 @@ def map_log(
     stationary: Sequence[str] | None,
     searches: bool | None,
     kernels: Kernels,
+    also_place: IntArray | None = None,
 ) -> MapResult:
     """Map the encounters of a log.
 
@@ -38,6 +39,8 @@ def map_log(
         Ids, as the log has them, that a person says stand still; None where nobody says so.
     searches
         Whether to look for them; None does so where neither modes nor a person tell.
+    also_place
+        As for `mapper.pipeline.compute_map`.
 
     Raises
     ------
@@ -57,7 +60,7 @@ def map_log(
         kernels=kernels,
     )
     still = (*(spells or ()), *stationary_spells(table, standing.nodes))
-    result = compute_map(table, still, recipe, kernels=kernels)
+    result = compute_map(table, still, recipe, kernels=kernels, also_place=also_place)
     warnings = [*log.warnings, *result.warnings]
     if absent:
         warnings.append(f"stationary biobots {', '.join(absent)} are in no encounter")

@@ -1,23 +1,22 @@
 """What a map's document holds beside the map, so that it can be joined to others, and reading it back."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import floor, log10
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
 from mapper.errors import InputFileError
-from mapper.report import JsonObject, JsonValue
-from mapper.types import FloatArray, IntArray, MapResult
+from mapper.types import FloatArray, IntArray, Landmark, MapResult
 
 _DIGITS = 6
 _Instant = Annotated[int, Meta(ge=-(2**62), le=2**62)]
-_Node = Annotated[int, Meta(ge=0, lt=2**63)]
+_Node = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 _Length = Annotated[float, Meta(ge=0)]
 
 
@@ -71,16 +70,16 @@ class _Document(msgspec.Struct, frozen=True, kw_only=True):
     merging: Annotated[list[_Component], Meta(min_length=1)] | None = None
 
 
-def merging_facts(result: MapResult) -> JsonObject:
+def merging_facts(result: MapResult) -> dict[str, Any]:
     """Describe what joins a map to others: identities of points and stands [ns], and all distances between them, to six digits.
 
     Returns
     -------
-    JsonObject
-        ``merging``: for each component ``points`` [[t_ns, id1, id2], ...], ``stands`` [[node, begin_ns, end_ns], ...] and ``distances``, the
-        part above the diagonal, row by row, points first; nothing where the map does not know its distances.
+    dict
+        ``merging``: for each component ``points`` [[t_ns, id1, id2], ...], ``stands`` [[node, begin_ns, end_ns], ...] and ``distances``,
+        the part above the diagonal, row by row, points first; nothing where the map does not know its distances.
     """
-    parts: list[JsonValue] = []
+    parts: list[dict[str, Any]] = []
     for index, part in enumerate(result.components):
         places = part.places
         if places is None or len(part.distances) != part.n_points:
@@ -92,7 +91,10 @@ def merging_facts(result: MapResult) -> JsonObject:
         parts.append(
             {
                 "points": points.tolist(),
-                "stands": np.column_stack([places.node, places.t_start_ns, places.t_end_ns]).tolist(),
+                "stands": [
+                    _whole_stand(result.landmarks, *stand)
+                    for stand in zip(*(column.tolist() for column in (places.node, places.t_start_ns, places.t_end_ns)), strict=True)
+                ],
                 "distances": np.round(whole[np.triu_indices(len(whole), k=1)], decimals).tolist(),
                 "reach": part.diameter if part.reach is None else part.reach,
                 "cover_radius": part.cover_radius,
@@ -101,6 +103,15 @@ def merging_facts(result: MapResult) -> JsonObject:
             }
         )
     return {"merging": parts}
+
+
+def _whole_stand(landmarks: Sequence[Landmark], node: int, begin: int, end: int) -> list[int]:
+    """Widen a stand, as far as the record tells of it, to the spell that was told: it may have begun before and go on after it."""
+    for spell in landmarks:
+        last = end if spell.t_end_ns is None else spell.t_end_ns
+        if spell.node == node and spell.t_start_ns <= end and begin <= last:
+            begin, end = min(begin, spell.t_start_ns), max(end, last)
+    return [node, begin, end]
 
 
 def read_map_file(path: Path) -> MapFile:

@@ -6,24 +6,22 @@ imported where it runs: the serving process needs these functions only by name.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
-from firmware_protocol.contract.records import Cause, Mode
 from mapper.record_columns import to_unsigned
 from mapper.replica import Replica, StoreDelta
 from mapper.window import clip_table, rows_dated_ahead, select_rows, window_begin
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from mapper.render import ImageFormat
     from mapper.report import JsonObject, JsonValue
-    from mapper.types import MapResult, ModeSpell, Recipe
+    from mapper.types import MapResult, Recipe
 
 _NS_PER_S = 1e9
 
@@ -33,6 +31,15 @@ _replica: Final = Replica()
 
 class OutOfStep(msgspec.Struct, frozen=True):
     """The process does not have what the delta builds on; it wants everything."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoRoutes:
+    """Why there are none: what is wrong with ``place``, or None where both places are there and nothing leads from one to the other."""
+
+    place: str | None
+    problem: str
+    next_step: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +100,6 @@ def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns
     for point, id1, id2 in zip(_objects(document["points"]), result.points.id1.tolist(), result.points.id2.tolist(), strict=True):
         point["id1"], point["id2"] = to_unsigned(id1), to_unsigned(id2)
     n_before, last_encounter_ns = len(known) - len(table), int(table.t_end_ns.max())
-    document["landmarks"] = list(_place_landmarks(result, spells))
     document["window_s"] = None if window_ns is None else window_ns / _NS_PER_S
     document["since_s"] = None if since_ns is None else since_ns / _NS_PER_S
     document["n_before"] = n_before
@@ -119,31 +125,31 @@ def draw_map(drawing: bytes, image_format: ImageFormat) -> bytes:
     return render_map(decode_map(drawing), image_format=image_format)
 
 
+def write_geojson(drawing: bytes) -> bytes:
+    """Write a map that `make_map` made as GeoJSON."""
+    from mapper.geojson import to_geojson  # noqa: PLC0415  # see the module's docstring
+    from mapper.map_codec import decode_map  # noqa: PLC0415  # same
+
+    return msgspec.json.encode(to_geojson(decode_map(drawing)))
+
+
+def find_map_routes(drawing: bytes, begin: str, end: str, *, classes: int) -> bytes | NoRoutes:
+    """Find routes on a map that `make_map` made, as JSON."""
+    from mapper.errors import PlaceError, RouteError  # noqa: PLC0415  # see the module's docstring
+    from mapper.map_codec import decode_map  # noqa: PLC0415  # see the module's docstring
+    from mapper.map_sketch import sketch_map  # noqa: PLC0415  # same
+    from mapper.route_report import answer_routes, routes_to_json  # noqa: PLC0415  # same
+
+    try:
+        return msgspec.json.encode(routes_to_json(answer_routes(sketch_map(decode_map(drawing)), begin, end, classes=classes)))
+    except PlaceError as error:
+        return NoRoutes(place=error.place, problem=error.problem, next_step=error.next_step)
+    except RouteError as error:
+        return NoRoutes(place=None, problem=error.problem, next_step=error.next_step)
+
+
 def _objects(value: JsonValue) -> Iterable[JsonObject]:
     return (item for item in value if isinstance(item, dict)) if isinstance(value, list) else ()
-
-
-def _place_landmarks(result: MapResult, spells: Sequence[ModeSpell]) -> Iterable[JsonObject]:
-    """Place each landmark where it stood: at the mean of the drawn encounters it had while it stood there by command."""
-    stood = [spell for spell in spells if spell.mode is Mode.S and spell.cause is Cause.COMMAND]
-    points = result.points
-    rows_of: defaultdict[int, list[int]] = defaultdict(list)
-    for row, pair in enumerate(zip(points.id1.tolist(), points.id2.tolist(), strict=True)):
-        for node in pair:
-            rows_of[node].append(row)
-    for spell in stood:
-        rows = [
-            row
-            for row in rows_of[spell.node]
-            if points.t_ns[row] >= spell.t_start_ns and (spell.t_end_ns is None or points.t_ns[row] <= spell.t_end_ns)
-        ]
-        if rows:
-            yield {
-                "id": to_unsigned(spell.node),
-                "x": float(points.x[rows].mean()),
-                "y": float(points.y[rows].mean()),
-                "component": int(points.component[rows[0]]),
-            }
 
 
 def _describe_diagram(result: MapResult) -> JsonObject:

@@ -51,16 +51,15 @@ def profile_metric(graph: EncounterGraph, references: IntArray, *, norm: Profile
 
 
 def distances_to(metric: Metric, vertices: IntArray, points: IntArray) -> FloatArray:
-    """Measure how far some distinct vertices, shape (k,), are from others, shape (m,): [ticks], shape (k, m)."""
+    """Measure how far some vertices, shape (k,), are from others, shape (m,): [ticks], shape (k, m)."""
     match metric:
         case EncounterMetric(graph=graph):
-            return times_to(graph, vertices)[points].T
+            sources, place = np.unique(vertices, return_inverse=True)
+            return times_to(graph, sources)[points].T[place]
         case ProfileMetric(profiles=profiles, norm=norm):
-            found = np.empty((len(vertices), len(points)))
-            for row, vertex in enumerate(vertices):
-                differences = np.abs(profiles[points] - profiles[vertex])
-                found[row] = differences.max(axis=1) if norm is ProfileNorm.MAX else np.sqrt((differences**2).mean(axis=1))
-            return found
+            rows = [np.abs(profiles[points] - profiles[vertex]) for vertex in vertices]
+            found = [row.max(axis=1) if norm is ProfileNorm.MAX else np.sqrt((row**2).mean(axis=1)) for row in rows]
+            return np.array(found).reshape(-1, len(points))
 
 
 def times_to(graph: EncounterGraph, references: IntArray) -> FloatArray:

@@ -11,17 +11,23 @@ from mapper.betti import load_trained_rules
 from mapper.component_map import MIN_LANDMARKS, PlacedComponent, map_component
 from mapper.encounter_graph import Components, build_components
 from mapper.errors import TooFewEncountersError
-from mapper.kernels import Kernels
+from mapper.joined_map import check_alike, join_maps
+from mapper.kernels import Kernels, choose_kernels
+from mapper.landmark_stands import Stands, find_stands, make_landmarks
+from mapper.map_file import MapFile
 from mapper.types import (
     TICKS_PER_S,
     EncounterTable,
     FloatArray,
+    Hole,
+    IntArray,
     MapResult,
     ModeSpell,
     Points,
     Recipe,
     read_only,
 )
+from mapper.window import make_encounter_table
 
 Progress = Callable[[str, float], None]
 """Called with the stage that begins and the share of the work done so far, in [0, 1]."""
@@ -43,6 +49,7 @@ def compute_map(
     *,
     progress: Progress | None = None,
     kernels: Kernels | None = None,
+    also_place: IntArray | None = None,
 ) -> MapResult:
     """Make the map of all encounters of a table.
 
@@ -58,6 +65,8 @@ def compute_map(
         Told of each stage; called in this thread.
     kernels
         What computes on the graphs; None takes the best there are. The map is the same.
+    also_place
+        Rows of the table to place besides the points, as ``others``; those that have no place are left out.
 
     Raises
     ------
@@ -74,6 +83,10 @@ def compute_map(
     parts = build_components(table, spells, moving_time=recipe.moving_time, kernels=kernels)
     shares = share_points(parts.sizes, n_points=count_points(len(table), recipe))
     ticks_per_length = TICKS_PER_S / (recipe.speed_mps or 1.0)
+    stands = find_stands(table, spells)
+    rows = np.concatenate([stands.rows, np.empty(0, dtype=np.int64) if also_place is None else also_place])
+    component, vertex = parts.locate(rows)
+    contact = float(np.median(table.t_end_ns - table.t_start_ns)) * TICKS_PER_S / NS_PER_S
     placed = []
     for index, n_points in enumerate(shares):
 
@@ -87,7 +100,9 @@ def compute_map(
                 rules,
                 index=index,
                 n_points=n_points,
+                others=vertex[component == index],
                 ticks_per_length=ticks_per_length,
+                contact=contact,
                 origin_ns=int(table.t_start_ns.min()),
                 begin=begin,
             )
@@ -96,7 +111,29 @@ def compute_map(
     warnings = [*_warn_of_span(table), *_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]
     warnings += _warn_of_anchors(placed)
     warnings += [warning for part in placed for warning in part.warnings]
-    return _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(parts), warnings=warnings)
+    result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(parts), warnings=warnings)
+    return _add_others(result, table, placed, rows=rows, component=component, stands=stands)
+
+
+def join_finished_maps(maps: Sequence[MapFile], recipe: Recipe, *, kernels: Kernels | None = None) -> MapResult:
+    """Make one map of several finished ones, by the landmarks and encounters that they share; see `mapper.joined_map`.
+
+    Parameters
+    ----------
+    recipe
+        By which the maps were made.
+
+    Raises
+    ------
+    UnlikeMapsError
+        They were not made in one way.
+    """
+    check_alike(maps)
+    rules = recipe.betti_rules or load_trained_rules(recipe.method, recipe.metric).rules
+    placed, points, warnings = join_maps(maps, recipe, rules, kernels=kernels or choose_kernels())
+    table = make_encounter_table(t_start_ns=points[:, 0], t_end_ns=points[:, 0], id1=points[:, 1], id2=points[:, 2])
+    result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(placed), warnings=warnings)
+    return replace(result, n_encounters=sum(part.summary.n_encounters for part in placed))
 
 
 def count_points(n_encounters: int, recipe: Recipe) -> int:
@@ -186,22 +223,13 @@ def _assemble(
     encounters = np.concatenate([part.encounters for part in placed])
     offsets = np.cumsum([0, *(len(part.encounters) for part in placed)])
     coordinates = _side_by_side(placed)
-    start, end = table.t_start_ns[encounters], table.t_end_ns[encounters]
     summaries = tuple(part.summary for part in placed)
     return MapResult(
         betti_numbers=(sum(s.betti_numbers[0] for s in summaries), sum(s.betti_numbers[1] for s in summaries)),
-        points=Points(
-            x=read_only(coordinates[:, 0].copy()),
-            y=read_only(coordinates[:, 1].copy()),
-            t_ns=read_only(start + (end - start) // 2),
-            id1=read_only(table.id1[encounters]),
-            id2=read_only(table.id2[encounters]),
-            component=read_only(np.repeat(np.arange(len(placed)), np.diff(offsets))),
-            encounter=read_only(encounters),
-        ),
+        points=_make_points(table, encounters, coordinates, component=np.repeat(np.arange(len(placed)), np.diff(offsets))),
         components=summaries,
         holes=tuple(
-            replace(hole, outline=read_only(hole.outline + offset))
+            _move_hole(hole, first_point=int(offset), shift=coordinates[offset] - part.coordinates[0])
             for part, offset in zip(placed, offsets, strict=False)
             for hole in part.holes
         ),
@@ -215,6 +243,48 @@ def _assemble(
         length_unit="s" if recipe.speed_mps is None else "m",
         recipe=recipe,
         warnings=tuple(warnings),
+        edge_lengths=read_only(np.concatenate([part.summary.distances[tuple(part.skeleton.edges.T)] for part in placed])),
+    )
+
+
+def _add_others(
+    result: MapResult, table: EncounterTable, placed: Sequence[PlacedComponent], *, rows: IntArray, component: IntArray, stands: Stands
+) -> MapResult:
+    """Add landmarks, and the other encounters that were to be placed: the first ``rows`` are those of the stands."""
+    coordinates = np.zeros((len(rows), 2))
+    for index, part in enumerate(placed):
+        first = int(np.searchsorted(result.points.component, index))
+        shift = np.array([result.points.x[first], result.points.y[first]]) - part.coordinates[0]
+        coordinates[component == index] = part.others + shift
+    is_placed = (component < len(placed)) & np.isfinite(coordinates).all(axis=1)
+    n_stands = len(stands.rows)
+    of_stands, of_others = (np.flatnonzero(is_placed[some]) for some in (slice(n_stands), slice(n_stands, None)))
+    landmarks = make_landmarks(stands, is_placed=is_placed[:n_stands], places=coordinates[of_stands], component=component[of_stands])
+    of_others += n_stands
+    others = _make_points(table, rows[of_others], coordinates[of_others], component=component[of_others])
+    return replace(result, landmarks=landmarks, others=others if len(others) else None)
+
+
+def _make_points(table: EncounterTable, encounters: IntArray, coordinates: FloatArray, *, component: IntArray) -> Points:
+    start, end = table.t_start_ns[encounters], table.t_end_ns[encounters]
+    return Points(
+        x=read_only(coordinates[:, 0].copy()),
+        y=read_only(coordinates[:, 1].copy()),
+        t_ns=read_only(start + (end - start) // 2),
+        id1=read_only(table.id1[encounters]),
+        id2=read_only(table.id2[encounters]),
+        component=read_only(component),
+        encounter=read_only(encounters),
+    )
+
+
+def _move_hole(hole: Hole, *, first_point: int, shift: FloatArray) -> Hole:
+    """Put a hole of one component among those of all: its points count from ``first_point``, its places move by ``shift``, shape (2,)."""
+    return replace(
+        hole,
+        outline=read_only(hole.outline + first_point),
+        outline_xy=read_only(hole.outline_xy + shift),
+        centre=None if hole.centre is None else read_only(hole.centre + shift),
     )
 
 

@@ -3,32 +3,39 @@
 from __future__ import annotations
 
 import io
+import warnings
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from mapper.config import RecipeConfig, make_recipe
+from mapper.frames import Similarity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from mapper.pins import Pinned
     from mapper.types import MapResult, Recipe
 
 ImageFormat = Literal["svg", "png"]
 
 # Colours that the common colour vision deficiencies keep apart (Wong 2011).
-_TRIANGLE, _EDGE, _HOLE, _NOISE = "#56b4e9", "#999999", "#d55e00", "#0072b2"
+_TRIANGLE, _EDGE, _HOLE, _NOISE, _LANDMARK, _PIN = "#56b4e9", "#999999", "#d55e00", "#0072b2", "#000000", "#cc79a7"
 # More triangles than this hide each other and only make the file large.
 _MAX_DRAWN_TRIANGLES = 20_000
+_CAPTION_NAMES, _CAPTION_NAME_LENGTH = 10, 16
 
 
-def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None = None) -> bytes:
+def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None = None, pinned: Pinned | None = None) -> bytes:
     """Draw points, complex and hole outlines beside the persistence diagram.
 
     Parameters
     ----------
     part
         Of which part of a record the map is, for its title; None for all of it.
+    pinned
+        The operator's frame, in whose metres the map is drawn then; components without pins stand to the right of it.
 
     Returns
     -------
@@ -45,17 +52,68 @@ def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None
 
     buffer = io.BytesIO()
     # Fixed ids and no date: the same map is the same file.
-    with mpl.rc_context({"svg.hashsalt": "biobot", "svg.fonttype": "none"}):
+    with mpl.rc_context({"svg.hashsalt": "biobot", "svg.fonttype": "none"}), warnings.catch_warnings():
+        # Names may be in any script: an SVG has them as they are, and a PNG boxes in place of what its font lacks.
+        warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
         figure = Figure(figsize=(11, 5.5), layout="constrained")
         FigureCanvasAgg(figure)
         map_axes, diagram_axes = figure.subplots(1, 2, width_ratios=(1.2, 1))
-        _draw_map(map_axes, result, part=part)
-        _draw_diagram(diagram_axes, result)
+        _draw_map(map_axes, _in_frame(result, pinned), part=part, pinned=pinned)
+        _draw_diagram(diagram_axes, result, title="persistence diagram" + ("" if pinned is None else "\nin lengths of the map itself"))
+        if caption := _caption(result):
+            figure.supxlabel(caption, fontsize=7, parse_math=False)
         figure.savefig(buffer, format=image_format, dpi=120, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()
 
 
-def _draw_map(axes: Axes, result: MapResult, *, part: str | None) -> None:
+def _caption(result: MapResult) -> str | None:
+    """Say below the picture who stands still, and whether the count of holes can be trusted; nothing for maps that no log made."""
+    standing = result.standing
+    if standing is None:
+        return None
+    lines = []
+    if standing.nodes:
+        named = [result.node_names.get(node, str(node)) for node in standing.nodes]
+        more = f" and {len(named) - _CAPTION_NAMES} more" if len(named) > _CAPTION_NAMES else ""
+        lines.append(f"stand still ({standing.source}): {', '.join(name[:_CAPTION_NAME_LENGTH] for name in named[:_CAPTION_NAMES])}{more}")
+    lines += [one.text for one in result.assumptions if one.name == "hole_count" and one.holds is False]
+    return "\n".join(lines) or None
+
+
+def _in_frame(result: MapResult, pinned: Pinned | None) -> MapResult:
+    """Return the map with all that has a place in metres of the operator's frame."""
+    if pinned is None:
+        return result
+    xy = np.column_stack([result.points.x, result.points.y])
+    fits = {component: fit.similarity for component, fit in pinned.frame.fits.items()}
+    drawn = np.concatenate([fits[component](xy[result.points.component == component]) for component in fits])
+    for component in range(len(result.components)):
+        own = xy[result.points.component == component]
+        if component not in fits:
+            # As far away as the others are wide by a tenth, and to their scale: nothing else is known of its place.
+            scale = next(iter(fits.values())).scale
+            left, low = drawn[:, 0].max() + 0.1 * np.ptp(drawn[:, 0]), drawn[:, 1].min()
+            shift = (float(left - scale * own[:, 0].min()), float(low - scale * own[:, 1].min()))
+            fits[component] = Similarity(scale=scale, turn_rad=0.0, is_mirrored=False, shift=shift)
+            drawn = np.concatenate([drawn, fits[component](own)])
+    moved = np.array([fits[component](place[None])[0] for component, place in zip(result.points.component.tolist(), xy, strict=True)])
+    return replace(
+        result,
+        points=replace(result.points, x=moved[:, 0], y=moved[:, 1]),
+        holes=tuple(
+            replace(hole, outline_xy=fits[hole.component](hole.outline_xy), centre=fits[hole.component](hole.centre[None])[0])
+            if hole.centre is not None
+            else hole
+            for hole in result.holes
+        ),
+        landmarks=tuple(
+            replace(one, **dict(zip("xy", fits[one.component](np.array([[one.x, one.y]]))[0].tolist(), strict=True)))
+            for one in result.landmarks
+        ),
+    )
+
+
+def _draw_map(axes: Axes, result: MapResult, *, part: str | None, pinned: Pinned | None) -> None:
     from matplotlib.collections import LineCollection, PolyCollection  # noqa: PLC0415  # see render_map
 
     points = result.points
@@ -68,14 +126,40 @@ def _draw_map(axes: Axes, result: MapResult, *, part: str | None) -> None:
     axes.figure.colorbar(marks, ax=axes, label="time since the first encounter drawn [s]", shrink=0.8)
     for number, hole in enumerate(result.holes, start=1):
         outline = xy[np.append(hole.outline, hole.outline[0])]
-        axes.plot(*outline.T, color=_HOLE, linewidth=2, zorder=4)
-        axes.annotate(str(number), outline[:-1].mean(axis=0), color=_HOLE, weight="bold", ha="center", va="center", zorder=5)
+        axes.plot(*outline.T, color=_HOLE, linewidth=1, linestyle=":", zorder=4)
+        x, y = (outline[:-1].mean(axis=0) if hole.centre is None else hole.centre).tolist()
+        if hole.centre is not None:
+            axes.fill(*hole.outline_xy.T, facecolor="white", edgecolor=_HOLE, linewidth=2, zorder=4)
+        axes.annotate(str(number), (x, y), color=_HOLE, weight="bold", ha="center", va="center", zorder=5)
+    if result.landmarks:
+        places = np.array([(landmark.x, landmark.y) for landmark in result.landmarks])
+        axes.scatter(
+            places[:, 0],
+            places[:, 1],
+            marker="^",
+            s=36,
+            facecolors="none",
+            edgecolors=_LANDMARK,
+            linewidths=1.2,
+            zorder=4,
+            label="landmark",
+        )
+    if pinned is not None:
+        known = np.array([pin.known_m for pin in pinned.pins])
+        axes.scatter(known[:, 0], known[:, 1], marker="x", s=50, color=_PIN, linewidths=2, zorder=5, label="pin, where it is known to be")
+    if result.landmarks or pinned is not None:
+        axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), ncols=2, fontsize="small", frameon=False)
     b0, b1 = result.betti_numbers
     unusual = ", ".join(filter(None, [part, _unusual_method(result.recipe)]))
     axes.set_title(f"map: b0 = {b0}, b1 = {b1}, {result.n_encounters} encounters" + (f"\n{unusual}" if unusual else ""))
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"x [{result.length_unit}]")
-    axes.set_ylabel(f"y [{result.length_unit}]")
+    if pinned is None:
+        axes.set_xlabel(f"x [{result.length_unit}]")
+        axes.set_ylabel(f"y [{result.length_unit}]")
+    else:
+        is_geographic = pinned.frame.plane is not None
+        axes.set_xlabel("metres east of the pins' middle" if is_geographic else "x [m], operator's frame")
+        axes.set_ylabel("metres north of the pins' middle" if is_geographic else "y [m], operator's frame")
     axes.autoscale_view()
 
 
@@ -86,7 +170,7 @@ def _unusual_method(recipe: Recipe) -> str | None:
     return f"method {recipe.method}, metric {recipe.metric}"
 
 
-def _draw_diagram(axes: Axes, result: MapResult) -> None:
+def _draw_diagram(axes: Axes, result: MapResult, *, title: str) -> None:
     limit = 1.05 * (result.diameter or 1.0)
     axes.plot([0, limit], [0, limit], color=_EDGE, linewidth=0.8)
     for dimension, marker, colour in ((0, "s", _EDGE), (1, "o", _NOISE)):
@@ -95,7 +179,7 @@ def _draw_diagram(axes: Axes, result: MapResult) -> None:
     if result.holes:
         births, deaths = np.array([(hole.birth, hole.death) for hole in result.holes]).T
         axes.scatter(births, deaths, s=60, facecolors="none", edgecolors=_HOLE, linewidths=2, label="called a hole")
-    axes.set_title("persistence diagram")
+    axes.set_title(title)
     axes.set_xlabel(f"birth [{result.length_unit}]")
     axes.set_ylabel(f"death [{result.length_unit}] (never: at the top)")
     axes.set_aspect("equal")

@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from math import isfinite
 
-from mapper.types import BettiRule, ComponentMap, FloatArray, MapResult, Recipe, Standing, StandingSource
+from mapper.record_columns import to_unsigned
+from mapper.types import BettiRule, ComponentMap, FloatArray, Hole, Landmark, MapResult, Recipe, Standing, StandingSource
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 JsonObject = dict[str, JsonValue]
@@ -21,10 +22,12 @@ def to_json_object(result: MapResult) -> JsonObject:
     JsonObject
         ``betti_numbers`` [b0, b1]; ``intervals`` of all components by dimension, death null where it never comes; ``points`` with map
         coordinates, time [s] and biobots; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth, death,
-        component, and ``confidence`` null until it is known; ``complex`` (edges and triangles as indices of points); ``components`` (those
-        mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``, ``n_used``,
-        ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source, reason; null but for a file)
-        and ``assumptions`` (name, holds, text). Ids are numbers, or the names that the log has for them.
+        component, and ``confidence`` null until it is known; of each also ``outline_xy``, the polygon of what stands in it (closed,
+        counter-clockwise), ``centre`` inside it, ``area``, ``perimeter`` and their standard errors, null where they are not known;
+        ``landmarks`` with their places and times; ``complex`` (edges and triangles as indices of points, lengths of edges);
+        ``components`` (those mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``,
+        ``n_used``, ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source,
+        reason; null but for a file) and ``assumptions`` (name, holds, text). Ids are numbers, or the names that the log has for them.
     """
     points = result.points
     names = result.node_names
@@ -52,10 +55,16 @@ def to_json_object(result: MapResult) -> JsonObject:
                 "death": hole.death,
                 "component": hole.component,
                 "confidence": None,
+                **_shape(hole),
             }
             for hole in result.holes
         ],
-        "complex": {"edges": result.edges.tolist(), "triangles": result.triangles.tolist()},
+        "landmarks": [_landmark(landmark, name(to_unsigned(landmark.node))) for landmark in result.landmarks],
+        "complex": {
+            "edges": result.edges.tolist(),
+            "triangles": result.triangles.tolist(),
+            "edge_lengths": [float(f"{length:.6g}") for length in result.edge_lengths.tolist()],
+        },
         "components": [_component(part, index) for index, part in enumerate(result.components)],
         "n_components": result.n_components,
         "diameter": result.diameter,
@@ -83,7 +92,7 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
         f"lost spectrum  {result.lost_spectrum:.1%} of the shape does not fit the plane",
     ]
     lines += [
-        f"hole {number:<9} birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}"
+        f"hole {number:<9} birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}{_size(hole, unit)}"
         for number, hole in enumerate(result.holes, start=1)
     ]
     lines += [
@@ -128,6 +137,36 @@ def _component(part: ComponentMap, index: int) -> JsonObject:
     }
 
 
+def _shape(hole: Hole) -> JsonObject:
+    ring = hole.outline_xy.tolist()
+    return {
+        "outline_xy": [*ring, *ring[:1]],
+        "centre": None if hole.centre is None else hole.centre.tolist(),
+        "area": hole.area,
+        "area_error": hole.area_error,
+        "perimeter": hole.perimeter,
+        "perimeter_error": hole.perimeter_error,
+    }
+
+
+def _landmark(landmark: Landmark, name: int | str) -> JsonObject:
+    end_ns = landmark.t_end_ns
+    return {
+        "id": name,
+        "x": landmark.x,
+        "y": landmark.y,
+        "component": landmark.component,
+        "t_start": landmark.t_start_ns / _NS_PER_S,
+        "t_end": None if end_ns is None else end_ns / _NS_PER_S,
+    }
+
+
+def _size(hole: Hole, unit: str) -> str:
+    perimeter = "" if hole.perimeter is None else f", perimeter {hole.perimeter:.3g} +- {hole.perimeter_error:.2g} {unit}"
+    area = "" if hole.area is None else f", area {hole.area:.3g} +- {hole.area_error:.2g} {unit}^2"
+    return perimeter + area
+
+
 def _intervals(intervals: FloatArray) -> list[JsonValue]:
     return [[birth, death if isfinite(death) else None] for birth, death in intervals.tolist()]
 
@@ -140,6 +179,7 @@ def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
         "profile_norm": str(recipe.profile_norm),
         "moving_time": recipe.moving_time,
         "bracketed": recipe.bracketed,
+        "placed": recipe.placed,
         "smoothing_share": recipe.smoothing_share,
         "max_candidates": recipe.max_candidates,
         "outlier_k": recipe.outlier_k,

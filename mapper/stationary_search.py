@@ -24,7 +24,7 @@ _LESS_EVIDENCE, _CLOSE_AGREEMENT, _LEAST_WEIGHT = -15.0, 0.97, 35.0
 """The same where only both together prove it. All thresholds: chosen on seeds 0-139 of `studies.stationary_check`."""
 
 _MOST_NODES = 3_000
-_MOST_ENCOUNTERS = 100_000  # of each half: the distances are good long before
+_MOST_ENCOUNTERS = 50_000  # of each half: the distances are good long before
 _MOST_CANDIDATES = 128  # the busiest: a table of times from all encounters to each is kept
 _DROPPED_AT_ONCE = 10  # one in so many
 _ALWAYS = 0.9  # of the record: two that are together for so long stand beside each other, and did not meet
@@ -222,6 +222,7 @@ def _distances(table: EncounterTable, meetings: _Meetings, rows: IntArray, place
         targets=vertex[after].astype(np.int32),
         # What is at one instant is one place in the map; here a tick apart is as good.
         times=np.maximum(centre[after] - centre[before], 1).astype(np.float64),
+        before=np.full(len(before), -1, dtype=np.int32),  # sweeps ask for no chains
     )
     times = kernels.sweep_times(links, n_vertices=len(places) + len(rows), sources=np.arange(len(places)))
     return np.asarray(times[: len(places)])

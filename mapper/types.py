@@ -115,11 +115,12 @@ class Recipe:
 
     ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
     those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
-    vertices around each. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are smoothed and
-    may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
-    ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
-    those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets the
-    holes found decide. ``speed_mps`` None gives lengths in seconds.
+    vertices around each. ``placed``: they are placed in the plane along the tracks of biobots first, and those placed best become points,
+    if there are landmarks enough and the norm is the largest. Where profiles are compared, no more than ``max_candidates`` of the
+    vertices that are no outliers are smoothed and may become points, taken evenly in the order of time; 0 sets no limit. The subsample
+    has ``n_points``, or fewer where ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are
+    for dimensions 0 and 1; None takes those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a
+    share of the diameter; None lets the holes found decide. ``speed_mps`` None gives lengths in seconds.
     """
 
     method: Method
@@ -127,6 +128,7 @@ class Recipe:
     profile_norm: ProfileNorm
     moving_time: bool
     bracketed: bool
+    placed: bool
     smoothing_share: float
     max_candidates: int
     outlier_k: int
@@ -164,8 +166,8 @@ class Points:
 class LandmarkPlaces:
     """The l places of a component where landmarks stood, by which it can be joined to other maps.
 
-    ``node``, ``t_start_ns`` and ``t_end_ns``, shape (l,): who stood there, and from when to when [ns, the clock of the encounters; until the
-    end of the record where the stand lasted]. ``to_points``, shape (l, n_points), and ``between``, shape (l, l): distances [unit of the map].
+    ``node``, ``t_start_ns`` and ``t_end_ns``, shape (l,): who stood there, and from when to when [ns, the clock of the encounters], as far
+    as the record goes. ``to_points``, shape (l, n_points), and ``between``, shape (l, l): distances [unit of the map].
     """
 
     node: IntArray
@@ -204,12 +206,35 @@ class ComponentMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hole:
-    """A hole called real: ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,)."""
+    """A hole called real: ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,).
+
+    ``outline_xy`` is the polygon of what stands in it, as `mapper.hole_shapes` draws it: shape (k, 2), not closed, counter-clockwise;
+    (0, 2) where there is none. ``centre``, shape (2,), is inside it. ``area`` [unit^2] and ``perimeter`` [unit] are those of the obstacle,
+    with their standard errors; None where nothing is known of them.
+    """
 
     component: int
     birth: float
     death: float
     outline: IntArray
+    outline_xy: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    centre: FloatArray | None = None
+    area: float | None = None
+    area_error: float | None = None
+    perimeter: float | None = None
+    perimeter_error: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Landmark:
+    """Where a biobot stood by command from ``t_start_ns`` to ``t_end_ns`` (None: it still does), in map coordinates [unit of the map]."""
+
+    node: NodeId
+    t_start_ns: int
+    t_end_ns: int | None
+    x: float
+    y: float
+    component: int
 
 
 class StandingSource(StrEnum):
@@ -231,6 +256,10 @@ class Standing:
     reason: str
 
 
+KNOWN_PLACES = "known_places"
+"""Name of the assumption that places are known, which pins make true."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Assumption:
     """Something that a map rests on: whether it holds, None where that cannot be seen, and what follows, for a person."""
@@ -247,7 +276,9 @@ class MapResult:
     ``components`` are those that were mapped, the largest first; ``n_components`` counts all there are. ``edges`` (e, 2) and ``triangles``
     (t, 3) are indices of points: the Rips complex of each component at its ``epsilon``. ``diameter`` is the largest of
     any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m". ``node_names`` are what the log calls its nodes, empty where
-    they are numbers. ``standing`` and ``assumptions`` are of maps of a file.
+    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``edge_lengths``, shape (e,), are the map's distances along
+    ``edges``; none where a map does not tell them. ``landmarks`` are places where somebody stood by command and met somebody. ``others``
+    are encounters that were asked for and are no points of the map.
     """
 
     betti_numbers: tuple[int, int]
@@ -267,6 +298,9 @@ class MapResult:
     node_names: Mapping[int, str] = field(default_factory=dict)
     standing: Standing | None = None
     assumptions: tuple[Assumption, ...] = ()
+    edge_lengths: FloatArray = field(default_factory=lambda: np.zeros(0))
+    landmarks: tuple[Landmark, ...] = ()
+    others: Points | None = None
 
 
 def read_only(array: ArrayT) -> ArrayT:

@@ -119,12 +119,17 @@ def _collect(world: World, events: list[Event], spells: tuple[ModeSpell, ...], *
     rows = np.array([(max(begin, begin_s), end, one, other) for begin, end, one, other in spans if end > begin_s])
     t_start_ns, t_end_ns = (np.rint(column * NS_PER_S).astype(np.int64) for column in rows.T[:2])
     table = make_encounter_table(t_start_ns=t_start_ns, t_end_ns=t_end_ns, id1=rows[:, 2].astype(np.int64), id2=rows[:, 3].astype(np.int64))
-    centre_s = np.minimum((table.t_start_ns + table.t_end_ns) / (2.0 * NS_PER_S), world.now_s)
     return HerdedExploration(
         table=table,
         spells=spells,
-        positions=(world.positions_of(table.id1, centre_s) + world.positions_of(table.id2, centre_s)) / 2.0,
+        positions=positions_of_encounters(world, table),
         begin_s=begin_s,
         end_s=world.now_s,
         n_stands=len(spells),
     )
+
+
+def positions_of_encounters(world: World, table: EncounterTable) -> FloatArray:
+    """Tell where encounters were: the middle between their biobots at their centre times, shape (n, 2) [length]."""
+    centre_s = np.minimum((table.t_start_ns + table.t_end_ns) / (2.0 * NS_PER_S), world.now_s)
+    return np.asarray((world.positions_of(table.id1, centre_s) + world.positions_of(table.id2, centre_s)) / 2.0)

@@ -2,8 +2,9 @@
 
 Two shapes with 10 obstacles: a strip, 500 x 50, swept from end to end; and a field, 250 x 100, swept in two lanes that lie side by side,
 where landmarks along the seam are left standing for the way back. 150 biobots as in ``paper-units``, of which 20 stand around the beacon
-at a time. Of every run four maps are made: of the whole as one; of its windows, cut and merged again, as files are; of each window by
-itself; and beside them the maps of a swarm ten times larger, and of the same swarm let loose in the whole arena for ten times as long.
+at a time. Of every run there are the map of all encounters as one; the maps of windows of 400 s, each half over the one before; and the
+one map that those are joined to. Beside them the maps of a swarm ten times larger that stays for 200 s, and of the same swarm let loose in
+the whole arena for as long as the sweep took.
 """
 
 import argparse
@@ -16,10 +17,10 @@ import numpy as np
 from shapely.geometry import box
 
 from mapper.config import RecipeConfig, make_recipe
-from mapper.errors import TooFewEncountersError
-from mapper.pipeline import compute_map
-from mapper.pooling import Recording, pool_recordings
-from mapper.types import EncounterTable, FloatArray, MapResult, ModeSpell
+from mapper.map_file import MapFile, merging_facts, take_map
+from mapper.pipeline import compute_map, join_finished_maps
+from mapper.report import to_json_object
+from mapper.types import EncounterTable, FloatArray, MapResult, ModeSpell, Points
 from mapper.window import clip_table
 from simulator.arenas.arena import Arena, build_arena
 from simulator.arenas.geodesics import geodesic_distances
@@ -32,7 +33,7 @@ from studies.cases import Study, results_of, run_cases
 from studies.cases.flags import add_flags, read_flags
 from studies.errors import StudyError
 from studies.exploration import explore
-from studies.herded import HerdedExploration, explore_herded
+from studies.herded import HerdedExploration, explore_herded, positions_of_encounters
 from studies.scores import count_enclosed
 from studies.truth import obstacle_points
 
@@ -44,10 +45,10 @@ _LANE = 50.0
 _BEACON_SPEED = 0.15
 _RADIUS = 35.0
 # To either side of the seam between two lanes.
-_SEAM = 12.0
+_SEAM = 8.0
 _WINDOW_S, _WINDOWS_EVERY_S = 400.0, 200.0
 _SWARM, _LANDMARKS = 150, 20
-_SPREAD_S = 200.0
+_SPREAD_S, _LONG_S = 200.0, 3_000.0
 # Points whose true distances are computed.
 _MEASURED_POINTS = 150
 
@@ -64,7 +65,7 @@ class Way(StrEnum):
 
     HERDED = "herded"
     TEN_SWARMS = "ten swarms"
-    TEN_TIMES_AS_LONG = "ten times as long"
+    AS_LONG = "let loose"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,15 +90,15 @@ class Found:
 class SweepResult:
     """Maps of one run beside the truth.
 
-    ``merged`` is of windows that were cut out and merged again. ``alone`` are maps of single windows: obstacles that any of them shows,
-    and their false holes together; ``repeated`` obstacles are in more than one. All three are None but for a herded swarm.
+    ``joined`` is one map of the finished maps of windows. ``alone`` are those maps by themselves: obstacles that any of them shows, and
+    their false holes together; ``repeated`` obstacles are in more than one. All three are None but for a herded swarm.
     """
 
     true_holes: int
     n_encounters: int
     n_stands: int
     whole: Found
-    merged: Found | None
+    joined: Found | None
     alone: Found | None
     repeated: int | None
 
@@ -116,20 +117,22 @@ def compute_case(case: SweepCase) -> SweepResult:
     if case.way is Way.HERDED:
         run = _sweep(world, case.shape)
     else:
-        run = _spread(world, landmarks=_LANDMARKS * (10 if case.way is Way.TEN_SWARMS else 1), ten=case.way is Way.TEN_TIMES_AS_LONG)
-    whole = _score(_map(run.table, run.spells), run.positions, arena, obstacles)
-    merged = alone = repeated = None
+        run = _spread(world, landmarks=_LANDMARKS * (10 if case.way is Way.TEN_SWARMS else 1), is_long=case.way is Way.AS_LONG)
+    one_map = _map(run.table, run.spells)
+    whole = _score(one_map, run.positions[one_map.points.encounter], arena, obstacles)
+    joined = alone = repeated = None
     if case.way is Way.HERDED:
-        windows = _cut(run)
-        pool = pool_recordings([Recording(name=str(begin), table=table, spells=run.spells) for begin, table in windows])
-        merged = _score(_map(pool.table, pool.spells), _positions(world, pool.table), arena, obstacles)
+        windows = [(table, _map(table, run.spells)) for table in _cut(run)]
+        files = [_to_file(result, name=str(number)) for number, (_, result) in enumerate(windows)]
+        union = join_finished_maps(files, make_recipe(RecipeConfig()))
+        joined = _score(union, _positions(world, union.points), arena, obstacles)
         alone, repeated = _score_windows(run, windows, obstacles)
     return SweepResult(
         true_holes=len(obstacles),
         n_encounters=len(run.table),
         n_stands=run.n_stands,
         whole=whole,
-        merged=merged,
+        joined=joined,
         alone=alone,
         repeated=repeated,
     )
@@ -155,36 +158,40 @@ def _sweep(world: World, shape: Shape) -> HerdedExploration:
     )
 
 
-def _spread(world: World, *, landmarks: int, ten: bool) -> HerdedExploration:
+def _spread(world: World, *, landmarks: int, is_long: bool) -> HerdedExploration:
     """Let a swarm loose in the whole arena, its landmarks where they are."""
-    explored = explore(world, landmarks=landmarks, duration_s=_SPREAD_S * (10 if ten else 1) * 1.0)
+    explored = explore(world, landmarks=landmarks, duration_s=_LONG_S if is_long else _SPREAD_S)
     return HerdedExploration(
         table=explored.table,
         spells=explored.spells,
-        positions=_positions(world, explored.table),
+        positions=positions_of_encounters(world, explored.table),
         begin_s=0.0,
         end_s=world.now_s,
         n_stands=len(explored.spells),
     )
 
 
-def _positions(world: World, table: EncounterTable) -> FloatArray:
-    centre_s = np.minimum((table.t_start_ns + table.t_end_ns) / 2e9, world.now_s)
-    return (world.positions_of(table.id1, centre_s) + world.positions_of(table.id2, centre_s)) / 2.0
+def _positions(world: World, points: Points) -> FloatArray:
+    t_s = np.minimum(points.t_ns / 1e9, world.now_s)
+    return (world.positions_of(points.id1, t_s) + world.positions_of(points.id2, t_s)) / 2.0
 
 
-def _cut(run: HerdedExploration) -> list[tuple[float, EncounterTable]]:
+def _cut(run: HerdedExploration) -> list[EncounterTable]:
     """Cut windows out of a run, each half over the one before."""
     begins = np.arange(run.begin_s, run.end_s - _WINDOWS_EVERY_S, _WINDOWS_EVERY_S).tolist()
-    return [(at, clip_table(run.table, since_ns=round(at * 1e9), until_ns=round((at + _WINDOW_S) * 1e9))) for at in begins]
+    return [clip_table(run.table, since_ns=round(at * 1e9), until_ns=round((at + _WINDOW_S) * 1e9)) for at in begins]
+
+
+def _to_file(result: MapResult, *, name: str) -> MapFile:
+    """Hand a map over as a file would."""
+    return take_map({**to_json_object(result), **merging_facts(result)}, name=name)
 
 
 def _map(table: EncounterTable, spells: Sequence[ModeSpell]) -> MapResult:
     return compute_map(table, spells, make_recipe(RecipeConfig()))
 
 
-def _score(result: MapResult, positions: FloatArray, arena: Arena, obstacles: FloatArray) -> Found:
-    places = positions[result.points.encounter]
+def _score(result: MapResult, places: FloatArray, arena: Arena, obstacles: FloatArray) -> Found:
     n_found = count_enclosed([places[hole.outline] for hole in result.holes], obstacles)
     rows = np.arange(0, result.components[0].n_points, max(1, result.components[0].n_points // _MEASURED_POINTS))
     true = geodesic_distances(arena, places[rows], places[rows])
@@ -195,14 +202,10 @@ def _score(result: MapResult, positions: FloatArray, arena: Arena, obstacles: Fl
     return Found(found=n_found, false=len(result.holes) - n_found, metric_error=error)
 
 
-def _score_windows(run: HerdedExploration, windows: Sequence[tuple[float, EncounterTable]], obstacles: FloatArray) -> tuple[Found, int]:
+def _score_windows(run: HerdedExploration, windows: Sequence[tuple[EncounterTable, MapResult]], obstacles: FloatArray) -> tuple[Found, int]:
     shown = np.zeros(len(obstacles), dtype=np.int64)
     false = 0
-    for _, table in windows:
-        try:
-            result = _map(table, run.spells)
-        except TooFewEncountersError:
-            continue
+    for table, result in windows:
         places = run.positions[table.source_row[result.points.encounter]]
         outlines = [places[hole.outline] for hole in result.holes]
         false += len(outlines) - count_enclosed(outlines, obstacles)
@@ -238,7 +241,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _lines(shape: Shape, way: Way, results: Sequence[SweepResult]) -> list[str]:
     lines = [_line(shape, way, "one", results, [one.whole for one in results])]
     if way is Way.HERDED:
-        lines.append(_line(shape, way, "of merged windows", results, [one.merged for one in results if one.merged]))
+        lines.append(_line(shape, way, "windows' maps, joined", results, [one.joined for one in results if one.joined]))
         lines.append(_line(shape, way, "windows alone, together", results, [one.alone for one in results if one.alone]))
         repeated = sum(one.repeated or 0 for one in results) / len(results)
         lines[-1] += f" {repeated:.1f} obstacles are in more than one window |"

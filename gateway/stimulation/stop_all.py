@@ -301,8 +301,8 @@ class _Sweep:
         for place, part in enumerate(self.parts):
             if place and place % _TOLD_TOGETHER == 0:
                 await asyncio.sleep(0)  # others have their turn
-            if part.is_final:
-                continue
+            if part.is_final or (self.has_given_way and not part.stages):
+                continue  # of what was told nothing there is no end
             if self.has_given_way:
                 self._teller.tell(part, Stage.UNKNOWN, reason=_GIVEN_WAY)
             elif part.sendings or self._whole.sendings:

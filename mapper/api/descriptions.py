@@ -52,6 +52,8 @@ def describe_answers(
     fine: dict[str, Any] = {"description": "The newest state"}
     if isinstance(content, str):
         kind = {"type": "string"} if content.startswith("text/") else {"type": "string", "format": "binary"}
+        if content.endswith("json"):
+            kind = {"type": "object"}
         fine["content"] = {content: {"schema": kind}}
     else:
         fine["model"] = content

@@ -22,6 +22,7 @@ from mapper.api.schemas import (
     MapStatusView,
     MapView,
     ReadyView,
+    RoutesView,
 )
 from mapper.api.services import Services
 from mapper.api.views import (
@@ -35,10 +36,21 @@ from mapper.api.views import (
     view_map_status,
 )
 from mapper.map_snapshot import MapSnapshot
+from mapper.places import parse_place
+from mapper.routes import MAX_CLASSES
 from mapper.store import Store
 
 _MAP_PROBLEMS: Final = (HTTPStatus.SERVICE_UNAVAILABLE,)
 _PICTURE_PROBLEMS: Final = (HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.INTERNAL_SERVER_ERROR)
+_ROUTE_PROBLEMS: Final = (
+    HTTPStatus.NOT_FOUND,
+    HTTPStatus.UNPROCESSABLE_ENTITY,
+    HTTPStatus.TOO_MANY_REQUESTS,
+    HTTPStatus.SERVICE_UNAVAILABLE,
+    HTTPStatus.INTERNAL_SERVER_ERROR,
+)
+_PLACE_FORMS: Final = "landmark:ID, landmark:ID@T, biobot:ID@T, point:INDEX, or xy:X,Y[,COMPONENT]; T in seconds since 1970"
+GEOJSON_TYPE: Final = "application/geo+json"
 _MAX_CURSOR: Final = 2**63 - 1
 
 
@@ -46,6 +58,7 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     """Make all endpoints."""
     router = APIRouter()
     _add_map_routes(router, services)
+    _add_geometry_routes(router, services)
     _add_record_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
@@ -86,6 +99,25 @@ def _add_map_routes(router: APIRouter, services: Services) -> None:
         """Draw the newest finished map as PNG."""
         snapshot, picture = await services.current_map.picture("png")
         return versioned_response(request, picture, etag=snapshot.etag, media_type="image/png", headers=_freshness(services, snapshot))
+
+
+def _add_geometry_routes(router: APIRouter, services: Services) -> None:
+    @router.get("/api/v1/map.geojson", tags=["map"], responses=describe_answers(GEOJSON_TYPE, _PICTURE_PROBLEMS, is_versioned=True))
+    async def get_map_geojson(request: Request) -> Response:
+        """Return the newest finished map as GeoJSON: points, holes, landmarks, hulls. Not WGS 84: `coordinate_frame` says what it is."""
+        snapshot, document = await services.current_map.geojson()
+        return versioned_response(request, document, etag=snapshot.etag, media_type=GEOJSON_TYPE, headers=_freshness(services, snapshot))
+
+    @router.get("/api/v1/route", tags=["map"], responses=describe_answers(RoutesView, _ROUTE_PROBLEMS))
+    async def get_route(
+        begin: Annotated[str, Query(alias="from", max_length=100, description=_PLACE_FORMS)],
+        end: Annotated[str, Query(alias="to", max_length=100, description=_PLACE_FORMS)],
+        classes: Annotated[int, Query(ge=1, le=MAX_CLASSES, description="Routes that pass obstacles on different sides, at most")] = 3,
+    ) -> Response:
+        """Find routes around obstacles between two places of the newest finished map: the shortest of each kind, the shortest first."""
+        snapshot, found = await services.current_map.routes(str(parse_place(begin)), str(parse_place(end)), classes=classes)
+        headers = {"Cache-Control": "no-store", **_freshness(services, snapshot)}
+        return Response(found, media_type=JSON_TYPE, headers=headers)
 
 
 def _add_record_routes(router: APIRouter, services: Services) -> None:

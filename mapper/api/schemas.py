@@ -161,7 +161,7 @@ class PointItem(AnswerModel):
 
 
 class HoleItem(AnswerModel):
-    """A hole called real."""
+    """A hole called real; null where nothing is known. Errors are standard errors."""
 
     outline: list[Place]
     points: list[int]
@@ -169,15 +169,23 @@ class HoleItem(AnswerModel):
     death: float
     component: int
     confidence: float | None
+    outline_xy: list[Place] = Field(description="Polygon of what stands in it: closed, counter-clockwise; empty: it cannot be drawn")
+    centre: Place | None
+    area: float | None
+    area_error: float | None
+    perimeter: float | None
+    perimeter_error: float | None
 
 
 class LandmarkItem(AnswerModel):
-    """Where a landmark stood."""
+    """Where a landmark stood, and from when to when [s since 1970]; ``t_end`` null: it still stands."""
 
     id: int
     x: float
     y: float
     component: int
+    t_start: float
+    t_end: float | None
 
 
 class ComplexView(AnswerModel):
@@ -185,6 +193,7 @@ class ComplexView(AnswerModel):
 
     edges: list[list[int]]
     triangles: list[list[int]]
+    edge_lengths: list[float]
 
 
 class MapView(AnswerModel):
@@ -255,6 +264,46 @@ class DiagramView(AnswerModel):
     diameter: float
     length_unit: str
     n_encounters: int
+
+
+class RoutePlace(AnswerModel):
+    """A place that was asked for: ``gap_s`` is how far the encounter that tells it is from the time asked for."""
+
+    place: str
+    x: float
+    y: float
+    component: int
+    point: int | None
+    gap_s: float
+
+
+class HolePassed(AnswerModel):
+    """How far a route turns about a hole [full turns]: what is above 0 lies on the left of one who walks it."""
+
+    hole: int = Field(description="Its number in the map's list, from 1")
+    turns: float
+
+
+class RouteItem(AnswerModel):
+    """The shortest route of its kind, in map coordinates."""
+
+    length: float
+    length_error: float
+    signature: list[int] = Field(description="Rays from the holes' centres to larger y that it crosses, negative: from right to left")
+    passes: list[HolePassed]
+    xy: list[Place]
+
+
+class RoutesView(AnswerModel):
+    """Routes of different kinds: none of them can be drawn into another without going through an obstacle."""
+
+    model_config = ConfigDict(extra="allow", populate_by_name=True)
+
+    begin: RoutePlace = Field(alias="from")
+    end: RoutePlace = Field(alias="to")
+    length_unit: str
+    is_complete: bool = Field(description="There is no other that is not far longer")
+    routes: list[RouteItem]
 
 
 class EnginesView(AnswerModel):

@@ -24,11 +24,15 @@ class Stands:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Links:
-    """Directed steps in the order of time: shape (k,) each; ``times`` [ticks], above 0. Two may join the same vertices."""
+    """Directed steps in the order of time: shape (k,) each; ``times`` [ticks], above 0. Two may join the same vertices.
+
+    ``before`` is the step before of the same biobot, whose target is this one's source; -1 where there is none.
+    """
 
     sources: VertexArray
     targets: VertexArray
     times: FloatArray
+    before: VertexArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,6 +51,7 @@ class Rows:
 class Contraction:
     """A graph of v vertices, made of n encounters.
 
+    ``vertex_of``, shape (n,), is the vertex of each encounter.
     ``first_encounter``, ``multiplicity``, ``is_landmark`` and ``component`` have shape (v,): the earliest encounter (ascending), how many
     there are, whether a landmark stood there, and the number of the connected component, in the order of their first vertices.
     """
@@ -57,6 +62,7 @@ class Contraction:
     multiplicity: VertexArray
     is_landmark: BoolArray
     component: VertexArray
+    vertex_of: VertexArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,3 +72,15 @@ class Picks:
     chosen: IntArray
     distances: FloatArray
     cover_radius: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tension:
+    """How well links are believed when tracks are settled; lengths and times are in one unit, as speeds are 1.
+
+    ``blur``: error of a place. ``drift``: error of a link's length, as a share of its time. ``swerve``: change of velocity without a turn.
+    """
+
+    blur: float
+    drift: float
+    swerve: float

@@ -30,6 +30,7 @@ class Graph(ctypes.Structure):
         ("link_from", _Array),
         ("link_to", _Array),
         ("link_time", _Array),
+        ("link_before", _Array),
         ("row_start", _Array),
         ("neighbour", _Array),
         ("time", _Array),
@@ -55,6 +56,10 @@ _FUNCTIONS = {
     "count_lines": (c_int64, (_Array, c_int64)),
     "plant_tree": (c_int, (*_LEAVES, _Array, _Array, c_int32, *_TREE, POINTER(c_double))),
     "average_nearest": (c_int, (*_LEAVES, *_TREE, c_double, c_int32, c_int32, c_int32, _Array)),
+    "settle_tracks": (
+        c_int,
+        (c_int32, c_int64, *(_Array,) * 6, c_double, c_double, c_double, c_int32, c_int32, _Array),
+    ),
     "kernels_layout": (c_int64, ()),
     "kernels_sources": (c_int64, ()),
 }

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from firmware_protocol.errors import ConfigurationError
 from mapper.errors import KernelsError
-from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
+from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, Tension, VertexArray
 from mapper.kernels.binding import LibraryMissing, load_library
 from mapper.kernels.compiled import CompiledKernels
 from mapper.kernels.plain import PlainKernels
@@ -61,6 +61,13 @@ class Kernels(Protocol):
 
         ``n_nearest`` from 1 to c. Nearness is Euclidean; ties go to the earlier row. Values are finite, and no two that differ are nearer
         than 1e-150 or further apart than 1e150.
+        """
+
+    def settle_tracks(self, links: Links, start: FloatArray, pull: FloatArray, *, tension: Tension, rounds: int, steps: int) -> FloatArray:
+        """Move places in the plane, shape (v, 2), to where the links between them want them; see `mapper.placement`.
+
+        ``pull``, shape (v,), above 0, draws each to where it starts; ``rounds`` times all is weighed by how well it fits, and ``steps``
+        steps of conjugate gradients are made. Sums are made in the order of the links.
         """
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapper.errors import TooManyEncountersError
-from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
+from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, Tension, VertexArray
 from mapper.kernels.binding import SPELL, Graph
 from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNorm
 
@@ -56,7 +56,7 @@ class CompiledKernels:
         first, multiplicity, component, vertex_of = (np.empty(n, dtype=np.int32) for _ in range(4))
         is_landmark = np.empty(n, dtype=np.bool_)
         link_from, link_to = np.empty(2 * n, dtype=np.int32), np.empty(2 * n, dtype=np.int32)
-        link_time = np.empty(2 * n)
+        link_time, link_before = np.empty(2 * n), np.empty(2 * n, dtype=np.int32)
         starts, neighbours, times = np.empty(n + 1, dtype=np.int64), np.empty(4 * n, dtype=np.int32), np.empty(4 * n)
         graph = Graph(
             vertex_of=_address(vertex_of),
@@ -67,6 +67,7 @@ class CompiledKernels:
             link_from=_address(link_from),
             link_to=_address(link_to),
             link_time=_address(link_time),
+            link_before=_address(link_before),
             row_start=_address(starts),
             neighbour=_address(neighbours),
             time=_address(times),
@@ -77,12 +78,13 @@ class CompiledKernels:
         _check(self._library.build_graph(*columns, int(moving_time), ctypes.byref(graph)))
         v, n_links, n_edges = graph.n_vertices, graph.n_links, graph.n_edges
         return Contraction(
-            links=Links(sources=link_from[:n_links], targets=link_to[:n_links], times=link_time[:n_links]),
+            links=Links(sources=link_from[:n_links], targets=link_to[:n_links], times=link_time[:n_links], before=link_before[:n_links]),
             rows=Rows(starts=starts[: v + 1], neighbours=neighbours[:n_edges], times=times[:n_edges]),
             first_encounter=first[:v],
             multiplicity=multiplicity[:v],
             is_landmark=is_landmark[:v],
             component=component[:v],
+            vertex_of=vertex_of,
         )
 
     def sweep_times(self, links: Links, *, n_vertices: int, sources: IntArray) -> FloatArray:
@@ -168,6 +170,15 @@ class CompiledKernels:
 
         _share(run, n_leaves, per_thread=_LEAVES_OF_A_THREAD)
         return means
+
+    def settle_tracks(self, links: Links, start: FloatArray, pull: FloatArray, *, tension: Tension, rounds: int, steps: int) -> FloatArray:
+        """See `Kernels.settle_tracks`."""
+        first, pull, xy = np.ascontiguousarray(start), np.ascontiguousarray(pull), np.empty((len(start), 2))
+        chain = (_address(links.sources), _address(links.targets), _address(links.before), _address(links.times))
+        believed = (tension.blur, tension.swerve, tension.drift)
+        fixed = (_address(pull), _address(first))
+        _check(self._library.settle_tracks(len(xy), len(links.times), *chain, *fixed, *believed, rounds, steps, _address(xy)))
+        return xy
 
 
 def _find_axes(rows: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,6 +8,7 @@
 typedef struct {
   int64_t node;
   int32_t last;                                   /* its encounter before, -1 before the first */
+  int32_t last_link;                              /* its link before, -1 before the first */
   int64_t clock;                                  /* its clock then */
   int64_t place;                                  /* the stand it was in then, -1 for none */
   int64_t walked_from;                            /* time inside the static spells that are over */
@@ -63,7 +64,7 @@ static int32_t find_walker(crowd *all, int64_t node, const spell *still, int64_t
   for (; all->slots[at]; at = (at + 1) & all->mask)
     if (all->walkers[all->slots[at] - 1].node == node) return all->slots[at] - 1;
   walker *fresh = &all->walkers[all->n_walkers];
-  *fresh = (walker){.node = node, .last = -1, .place = -1};
+  *fresh = (walker){.node = node, .last = -1, .last_link = -1, .place = -1};
   fresh->still = fresh->still_end = first_of_node(still, n_still, node);
   while (fresh->still_end < n_still && still[fresh->still_end].node == node) fresh->still_end++;
   fresh->stand = fresh->stand_end = first_of_node(stands, n_stands, node);
@@ -264,6 +265,8 @@ static int walk_chains(const int64_t *centre, const int32_t *order, int32_t n, c
         } else {
           g->link_from[g->n_links] = w->last;
           g->link_to[g->n_links] = e;
+          g->link_before[g->n_links] = w->last_link;
+          w->last_link = (int32_t)g->n_links;
           g->link_time[g->n_links++] = (double)(clock - w->clock);
         }
       }
@@ -277,8 +280,8 @@ static int walk_chains(const int64_t *centre, const int32_t *order, int32_t n, c
   return outcome;
 }
 
-/* Contract to vertices, numbered by their earliest encounters; links inside one vertex are dropped. */
-static void contract(int32_t n, int32_t *parent, const uint8_t *stood, graph *g) {
+/* Contract to vertices, numbered by their earliest encounters; links inside one vertex are dropped. `number` has room for every link. */
+static void contract(int32_t n, int32_t *parent, const uint8_t *stood, int32_t *number, graph *g) {
   g->n_vertices = 0;
   memset(g->multiplicity, 0, (size_t)n * sizeof *g->multiplicity);
   memset(g->is_landmark, 0, (size_t)n);
@@ -296,9 +299,12 @@ static void contract(int32_t n, int32_t *parent, const uint8_t *stood, graph *g)
   int64_t kept = 0;
   for (int64_t i = 0; i < g->n_links; i++) {
     int32_t a = g->vertex_of[g->link_from[i]], b = g->vertex_of[g->link_to[i]];
+    number[i] = a == b ? -1 : (int32_t)kept;
     if (a == b) continue;
+    int32_t before = g->link_before[i];
     g->link_from[kept] = a;
     g->link_to[kept] = b;
+    g->link_before[kept] = before < 0 ? -1 : number[before];
     g->link_time[kept++] = g->link_time[i];
   }
   g->n_links = kept;
@@ -308,21 +314,22 @@ static void contract(int32_t n, int32_t *parent, const uint8_t *stood, graph *g)
 KERNEL int build_graph(const int64_t *centre, const int64_t *id1, const int64_t *id2, int32_t n, const spell *still, int64_t n_still,
                        const spell *stands, int64_t n_stands, int32_t moving_time, graph *g) {
   size_t room = (size_t)n + 1;
-  int32_t *order = malloc(room * sizeof *order), *parent = malloc(room * sizeof *parent);
+  int32_t *order = malloc(room * sizeof *order), *parent = malloc(room * sizeof *parent), *number = malloc(2 * room * sizeof *number);
   uint8_t *stood = calloc(room, 1);
   const int64_t *ids[2] = {id1, id2};
-  int outcome = order && parent && stood ? order_by(centre, n, order) : NO_MEMORY;
+  int outcome = order && parent && number && stood ? order_by(centre, n, order) : NO_MEMORY;
   if (outcome == 0) {
     for (int32_t e = 0; e < n; e++) parent[e] = e;
     outcome = walk_chains(centre, order, n, ids, still, n_still, stands, n_stands, moving_time, parent, stood, g);
   }
   if (outcome == 0) {
-    contract(n, parent, stood, g);
+    contract(n, parent, stood, number, g);
     name_components(g, parent);
     outcome = make_rows(g);
   }
   free(order);
   free(parent);
+  free(number);
   free(stood);
   return outcome;
 }

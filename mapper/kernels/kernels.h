@@ -41,6 +41,7 @@ typedef struct {
   int32_t *link_from;       /* [2n] links in the order of time, from the earlier encounter to the later */
   int32_t *link_to;         /* [2n] */
   double *link_time;        /* [2n] ticks, above 0 */
+  int32_t *link_before;     /* [2n] the link before of the same biobot, to where this one begins; -1 for none */
   int64_t *row_start;       /* [n + 1] edges of each vertex */
   int32_t *neighbour;       /* [4n] sorted by time within a row, then by vertex; each once */
   double *time;             /* [4n] */

@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, VertexArray
+from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, Tension, VertexArray
+from mapper.kernels.plain_settling import settle
 from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNorm
 
 _ROWS_AT_ONCE: Final = 4096
@@ -49,7 +50,10 @@ class PlainKernels:
         in_order = np.argsort(position[encounter_of[1:][is_edge]], kind="stable")
         in_order = in_order[(source != target)[in_order]]
         links = Links(
-            sources=source[in_order].astype(np.int32), targets=target[in_order].astype(np.int32), times=np.asarray(times[in_order])
+            sources=source[in_order].astype(np.int32),
+            targets=target[in_order].astype(np.int32),
+            times=np.asarray(times[in_order]),
+            before=_links_before(biobot_of[1:][is_edge], in_order),
         )
         is_landmark = np.zeros(len(first), dtype=np.bool_)
         is_landmark[vertex_of[encounter_of[place >= 0]]] = True
@@ -61,6 +65,7 @@ class PlainKernels:
             multiplicity=np.bincount(vertex_of, minlength=len(first)).astype(np.int32),
             is_landmark=is_landmark,
             component=component.astype(np.int32),
+            vertex_of=vertex_of.astype(np.int32),
         )
 
     def sweep_times(self, links: Links, *, n_vertices: int, sources: IntArray) -> FloatArray:
@@ -182,6 +187,10 @@ class PlainKernels:
             means[begin : begin + _ROWS_AT_ONCE] = total / n_nearest
         return means
 
+    def settle_tracks(self, links: Links, start: FloatArray, pull: FloatArray, *, tension: Tension, rounds: int, steps: int) -> FloatArray:
+        """See `Kernels.settle_tracks`."""
+        return settle(links, start, pull, tension=tension, rounds=rounds, steps=steps)
+
 
 def _rank(rows: FloatArray, origin: FloatArray) -> IntArray:
     """Sort rows by their distance from one, ties by number: what comes where. Every fourth column goes to one of four sums, as in C."""
@@ -245,6 +254,15 @@ def _merge(one: NDArray[np.integer], other: NDArray[np.integer], *, n: int) -> t
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
     return rank[set_of], np.sort(first).astype(np.int64)
+
+
+def _links_before(biobot_of: IntArray, in_order: IntArray) -> VertexArray:
+    """Number the link before of the same biobot, -1 for none; steps are sorted by biobot, and links are some of them in another order."""
+    number = np.full(len(biobot_of), -1, dtype=np.int32)
+    number[in_order] = np.arange(len(in_order), dtype=np.int32)
+    before = np.full(len(biobot_of), -1, dtype=np.int32)
+    before[1:] = np.where(biobot_of[1:] == biobot_of[:-1], number[:-1], -1)
+    return before[in_order]
 
 
 def _make_rows(links: Links, *, n_vertices: int) -> Rows:

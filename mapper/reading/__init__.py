@@ -4,5 +4,6 @@ from mapper.reading.log import ProximityLog, read_log
 from mapper.reading.node_names import NodeNames
 from mapper.reading.options import ReadingOptions, Role, TimeUnit, parse_columns
 from mapper.reading.stationary_ids import read_ids
+from mapper.reading.values import read_time
 
-__all__ = ["NodeNames", "ProximityLog", "ReadingOptions", "Role", "TimeUnit", "parse_columns", "read_ids", "read_log"]
+__all__ = ["NodeNames", "ProximityLog", "ReadingOptions", "Role", "TimeUnit", "parse_columns", "read_ids", "read_log", "read_time"]

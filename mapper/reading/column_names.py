@@ -8,7 +8,7 @@ from itertools import product
 from mapper.reading.options import ReadingOptions, Role, TimeUnit
 
 # Names are compared in lower case, without what stands between words, and without a unit at the end.
-_NAMES: dict[Role, frozenset[str]] = {
+NAMES_OF_TIMES: dict[Role, frozenset[str]] = {
     Role.START: frozenset(
         [
             "start",
@@ -194,6 +194,7 @@ def find_layout(names: Sequence[str], options: ReadingOptions) -> Layout:
         place |= _find_ids(keys, names, has_times=_has_times(place))
     if not _has_times(place):
         place |= _find_times(keys, names)
+    place = {role: place[role] for role in Role if role in place}
     return Layout(
         place=place,
         name={role: names[index] for role, index in place.items()},
@@ -205,8 +206,8 @@ def find_layout(names: Sequence[str], options: ReadingOptions) -> Layout:
     )
 
 
-def number_layout(n_columns: int, columns: Mapping[Role, str]) -> Layout:
-    """Tell the columns of a table without header by their numbers, counted from 1.
+def number_layout(first: Sequence[str], columns: Mapping[Role, str]) -> Layout:
+    """Tell columns by their numbers, counted from 1; ``first`` is the first row.
 
     Raises
     ------
@@ -214,12 +215,12 @@ def number_layout(n_columns: int, columns: Mapping[Role, str]) -> Layout:
         There are not so many columns, or no times or no ids are among them.
     """
     for role, column in columns.items():
-        if not 1 <= int(column) <= n_columns:
-            raise UnknownColumnsError(f"column {column} was named for {role}, but there are {n_columns}; count from 1 to {n_columns}")
+        if not 1 <= int(column[:9]) <= len(first):
+            raise UnknownColumnsError(f"column {column} was named for {role}, but there are {len(first)}; count from 1 to {len(first)}")
     place = {role: int(column) - 1 for role, column in columns.items()}
     if not _has_times(place) or Role.ID1 not in place:
-        raise UnknownColumnsError("a table without header wants all its columns named, as --columns t_start=1,t_end=2,id1=3,id2=4")
-    return Layout(place=place, name={role: f"column {column}" for role, column in columns.items()}, unit={}, n_columns=n_columns)
+        raise UnknownColumnsError("where columns are given by number, all must be, as --columns t_start=1,t_end=2,id1=3,id2=4")
+    return Layout(place=place, name={role: f"column {column}" for role, column in columns.items()}, unit={}, n_columns=len(first))
 
 
 def stated_unit(name: str) -> TimeUnit | None:
@@ -256,11 +257,11 @@ def _find_ids(keys: Sequence[str], names: Sequence[str], *, has_times: bool) -> 
 
 
 def _may_be_times(keys: Sequence[str]) -> bool:
-    return any(key in known for known in _NAMES.values() for key in keys)
+    return any(key in known for known in NAMES_OF_TIMES.values() for key in keys)
 
 
 def _find_times(keys: Sequence[str], names: Sequence[str]) -> dict[Role, int]:
-    found = {role: [index for index, key in enumerate(keys) if key in known] for role, known in _NAMES.items()}
+    found = {role: [index for index, key in enumerate(keys) if key in known] for role, known in NAMES_OF_TIMES.items()}
     for wanted in ((Role.START, Role.END), (Role.START, Role.DURATION), (Role.INSTANT, Role.DURATION), (Role.INSTANT,)):
         if all(found[role] for role in wanted):
             for role in wanted:

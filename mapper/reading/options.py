@@ -48,8 +48,8 @@ _NANOSECONDS = {
 class ReadingOptions:
     """What was said on the command line; None and nothing: found in the file.
 
-    ``columns`` are names, or numbers counted from 1 where the file has no header. ``gap_ns``: sightings of one pair no further apart than
-    this are one contact.
+    ``columns`` are names, or all of them numbers counted from 1, with which a file needs no header. ``gap_ns``: sightings of one pair no
+    further apart than this are one contact.
     """
 
     columns: Mapping[Role, str] = field(default_factory=dict)

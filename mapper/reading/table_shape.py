@@ -18,6 +18,7 @@ _SAMPLED_ROWS = 1_000
 # Instants, two ids, and perhaps a word on each: as SocioPatterns publishes its contacts.
 _WIDTHS_OF_INSTANTS = (3, 5)
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?", re.ASCII)
+_LINE_END = re.compile(rb"\r\n?|\n")
 _SIGNS_OF_AN_OPEN_QUOTE = ("field limit", "end of data")
 
 Record = tuple[int, list[str]]
@@ -65,11 +66,10 @@ def find_shape(path: str, data: bytes, options: ReadingOptions) -> TableShape:
             continue
         names, n_bytes, n_lines = first
         try:
-            if not _are_numbers(options, names):
-                layout = find_layout(names, options)
-                return TableShape(delimiter=delimiter, layout=layout, begin=begin + n_bytes, first_line=line + n_lines, has_header=True)
-            layout = number_layout(len(names), options.columns)
-            return TableShape(delimiter=delimiter, layout=layout, begin=begin, first_line=line, has_header=False)
+            layout = number_layout(names, options.columns) if _are_numbers(options) else find_layout(names, options)
+            if _are_numbers(options) and _begins_with_times(names, layout):
+                return TableShape(delimiter=delimiter, layout=layout, begin=begin, first_line=line, has_header=False)
+            return TableShape(delimiter=delimiter, layout=layout, begin=begin + n_bytes, first_line=line + n_lines, has_header=True)
         except UnknownColumnsError as error:
             problems.append((len(names), str(error)))
             if (layout_of_instants := _instants_without_header(data, begin, delimiter, names, options)) is not None:
@@ -116,7 +116,7 @@ def _skip_comments(data: bytes) -> tuple[int, int, str | None]:
     """Return where the first line that is neither blank nor a comment begins, its number, and the last comment before it."""
     begin, line, comment = (3 if data.startswith(b"\xef\xbb\xbf") else 0), 1, None
     while begin < len(data):
-        end = data.find(b"\n", begin) + 1 or len(data)
+        end = _line_end(data, begin)
         text = data[begin:end].strip()
         if text and not text.startswith(_MARKS_OF_COMMENTS):
             break
@@ -147,13 +147,23 @@ def _first_record(data: bytes, begin: int, line: int, delimiter: str | None) -> 
     n_lines = record[0] - line + 1 + sum(field.count("\n") for field in record[1])
     end = begin
     for _ in range(n_lines):
-        end = data.find(b"\n", end) + 1 or len(data)
+        end = _line_end(data, end)
     return record[1], end - begin, n_lines
 
 
-def _are_numbers(options: ReadingOptions, names: Sequence[str]) -> bool:
-    said = options.columns.values()
-    return bool(said) and all(column.isascii() and column.isdigit() and column not in names for column in said)
+def _line_end(data: bytes, begin: int) -> int:
+    match = _LINE_END.search(data, begin)
+    return len(data) if match is None else match.end()
+
+
+def _are_numbers(options: ReadingOptions) -> bool:
+    return bool(options.columns) and all(column.isascii() and column.isdigit() for column in options.columns.values())
+
+
+def _begins_with_times(first: Sequence[str], layout: Layout) -> bool:
+    """Say whether the first row is one of data: its times begin with digits, or a sign."""
+    place = layout.place.get(Role.START, layout.place.get(Role.INSTANT, 0))
+    return first[place].strip()[:1] in set("0123456789+-.")
 
 
 def _instants_without_header(
@@ -177,4 +187,4 @@ def _instants_without_header(
     falls = any(one > other for one, other in pairwise(thirds))
     if not never_falls or not falls:
         return None
-    return number_layout(len(names), {Role.INSTANT: "1", Role.ID1: "2", Role.ID2: "3"})
+    return number_layout(names, {Role.INSTANT: "1", Role.ID1: "2", Role.ID2: "3"})

@@ -127,6 +127,20 @@ class TimeReader:
         return (since.days * 86_400 + since.seconds) * NS_PER_S + int((fraction or "0").ljust(9, "0"))
 
 
+def read_time(name: str, text: str) -> int:
+    """Read one time of a column, seconds or a date [ns].
+
+    Raises
+    ------
+    UnfitValueError
+        It is none.
+    """
+    times, faults = TimeReader(name, unit=TimeUnit.SECONDS, takes_comma=False).read([text])
+    if faults:
+        raise UnfitValueError(faults[0])
+    return int(times[0])
+
+
 def _is_number(text: str) -> bool:
     return _NUMBER.fullmatch(text) is not None
 

@@ -151,8 +151,16 @@ def test_a_commander_whose_going_was_not_seen_is_gone_once_its_token_is_not_told
             subscriber = watch()
             beats = session.declare_subscriber(build_key(site="test", stream=Stream.BEAT, gateway=ANY), door.take_beat)
             with open_client(connect=endpoint, tls=TlsTable()) as commander:
+                early = session.declare_subscriber(
+                    build_key(site="test", stream=Stream.BEAT, gateway="bob"), lambda _: heard.append("early")
+                )
+                while "early" not in heard:  # until the gateway's subscriber is known there
+                    commander.put(build_key(site="test", stream=Stream.BEAT, gateway="bob"), encode_record(CommanderBeat(number=7)))
+                    await asyncio.sleep(0.01)
+                early.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
+                assert set(heard) == {"early"}, "a beat alone makes nobody a commander"
                 held = [commander.liveliness().declare_token(token) for token in tokens]
-                await until(lambda: {"ann came", "bob came"} <= set(heard), what="both are there")
+                await until(lambda: {"ann came", "bob came", "bob beat 1"} <= set(heard), what="both are there, and one was heard before")
                 for payload in (b"no beat", encode_record(CommanderBeat(number=3))):
                     commander.put(build_key(site="test", stream=Stream.BEAT, gateway="ann"), payload)
                 await until(lambda: "ann beat 3" in heard, what="a beat is heard")

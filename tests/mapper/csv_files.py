@@ -24,7 +24,7 @@ _nearly = st.sampled_from(
     ]
 )
 _plain_times = st.builds(lambda whole, part: f"{whole % 10**9}.{part}", st.integers(0, 10**9), _digits)
-_times = st.one_of(
+times = st.one_of(
     _plain_times,
     _nearly,
     st.integers(-(10**9), 5 * 10**9).map(str),
@@ -79,7 +79,7 @@ def odd_files(draw: st.DrawFn) -> bytes:
     names = list(draw(st.permutations([*COLUMNS, *draw(st.lists(st.sampled_from(["note", "id1", " x "]), max_size=2))])))
     lines = [",".join(f"{draw(_blanks)}{name}" for name in names)]
     for _ in range(draw(st.integers(0, 5))):
-        cells = [draw(_times if name.startswith("t_") else _ids if name.startswith("id") else _notes) for name in names]
+        cells = [draw(times if name.startswith("t_") else _ids if name.startswith("id") else _notes) for name in names]
         if draw(st.booleans()):
             cells = [f'"{cell}"' for cell in cells]
         lines.append(",".join(f"{draw(_blanks)}{cell}{draw(_blanks)}" for cell in cells[: draw(st.sampled_from([9, 9, 9, 9, 3, 1, 0]))]))

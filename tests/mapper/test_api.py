@@ -59,7 +59,8 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         ordered = await client.post("/api/v1/mission/orders", json={"action": "start", "operator": "anna"})
         check_against(document, "/api/v1/mission/orders", ordered, method="post")
         for path in gets:
-            answer = await client.get(path.replace("{command_id}", "one").replace("{biobot}", str(HUGE)))
+            asked = {"from": "landmark:1001", "to": "landmark:1005"} if path == "/api/v1/route" else {}
+            answer = await client.get(path.replace("{command_id}", "one").replace("{biobot}", str(HUGE)), params=asked)
             assert answer.status_code == HTTPStatus.OK, path
             check_against(document, path, answer)
         phases = (await client.get("/api/v1/mission")).json()
@@ -77,7 +78,7 @@ def test_the_map_is_sent_once_for_a_version() -> None:
         gateway.journal_records(ring_records())
         gateway.publish_status()
         await until(lambda: side.current_map.latest is not None)
-        for path in ("/api/v1/map", "/api/v1/diagram", "/api/v1/map.svg", "/api/v1/map.png"):
+        for path in ("/api/v1/map", "/api/v1/diagram", "/api/v1/map.geojson", "/api/v1/map.svg", "/api/v1/map.png"):
             first = await client.get(path)
             etag = first.headers["etag"]
             assert first.headers["cache-control"] == "no-cache"
@@ -92,12 +93,38 @@ def test_the_map_is_sent_once_for_a_version() -> None:
     run(story, with_map=True)
 
 
+def test_routes_go_both_ways_round_the_ring_or_say_why_not() -> None:
+    async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        gateway.journal_records(ring_records())
+        gateway.publish_status()
+        await until(lambda: side.current_map.latest is not None)
+
+        async def ask(begin: str, end: str) -> httpx.Response:
+            return await client.get("/api/v1/route", params={"from": begin, "to": end, "classes": 5})
+
+        found = (await ask("landmark:1001", "landmark:1005")).json()
+        (first, second) = found["routes"]
+        assert found["is_complete"]
+        assert first["length"] <= second["length"]
+        assert first["passes"][0]["turns"] * second["passes"][0]["turns"] < 0
+        for begin, end, status in (
+            ("landmark:7", "point:0", HTTPStatus.UNPROCESSABLE_ENTITY),
+            ("nowhere", "point:0", HTTPStatus.UNPROCESSABLE_ENTITY),
+            ("landmark:1001", "xy:0,0", HTTPStatus.NOT_FOUND),
+        ):
+            answer = await ask(begin, end)
+            assert answer.status_code == status
+            assert answer.headers["content-type"] == "application/problem+json"
+
+    run(story, with_map=True)
+
+
 def test_before_the_first_map_the_answer_says_what_is_awaited() -> None:
     async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
         gateway.journal_records([encounter(1)])
         gateway.publish_status()
         await until(lambda: side.current_map.waiting_for.n_encounters == 1 and side.current_map.waiting_for.minimum > 0)
-        for path in ("map", "diagram", "map.svg", "map.png"):
+        for path in ("map", "diagram", "map.geojson", "map.svg", "map.png", "route?from=point:0&to=point:1"):
             answer = await client.get(f"/api/v1/{path}")
             assert answer.status_code == HTTPStatus.SERVICE_UNAVAILABLE
             assert answer.headers["retry-after"] == "1"
@@ -281,6 +308,8 @@ def test_the_page_refers_to_nothing_outside_and_to_nothing_missing() -> None:
 def test_every_error_of_the_mapper_that_can_reach_the_web_has_a_status() -> None:
     offline = {
         "InputFileError",
+        "MapDocumentError",
+        "PinsError",
         "OutOfMemoryError",
         "UnknownBiobotError",
         "OutputFileError",

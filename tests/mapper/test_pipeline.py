@@ -30,7 +30,9 @@ def _geometry(result: MapResult) -> object:
     """All but the names of the biobots."""
     content = to_json_object(result)
     assert isinstance(content["points"], list)
+    assert isinstance(content["landmarks"], list)
     content["points"] = [{key: point[key] for key in ("x", "y", "t")} for point in content["points"] if isinstance(point, dict)]
+    content["landmarks"] = [{key: one[key] for key in ("x", "y", "t_start")} for one in content["landmarks"] if isinstance(one, dict)]
     return content
 
 
