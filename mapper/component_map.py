@@ -252,7 +252,7 @@ def _compare_and_filter(
     bracket = bracket_profiles(times, references, kernels=graph.kernels)
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
-    # Of a swarm that moved on, tracks put in the plane make a worse map: of 30 obstacles 16 were found with them and 22 without (own count).
+    # Of a swarm that moved on, tracks in the plane make a worse map: of 30 obstacles 16 were found with them and 22 without (own count).
     settles = recipe.placed and views.number < _FEWEST_VIEWS
     if settles and recipe.profile_norm is ProfileNorm.MAX and len(graph.landmarks) >= MIN_LANDMARKS:
         return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, contact=contact)
