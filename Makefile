@@ -49,8 +49,14 @@ system-packages:  ## install what some tests want: Chromium, compilers and emula
 train: venv  ## train the hole classifier anew on simulated arenas (hours; resumable)
 	$(PY) -m studies.train_classifier $(ARGS)
 
+train-confidence: venv  ## train how sure a map is anew (minutes; resumable), after `make train`
+	$(PY) -m studies.train_confidence --out mapper/data/confidence.json $(ARGS)
+
 sweep: venv  ## simulate and map over a grid of parameters (resumable; ARGS="studies/data/recipes.toml --csv out.csv")
 	$(PY) -m studies.sweep $(ARGS)
+
+paper: venv  ## every experiment of the paper: figures, data and the tables of docs/paper.md (an hour; resumable; ARGS="--jobs 1")
+	$(PY) -m studies.paper --changed recompute $(ARGS) && $(PY) -m studies.paper.report
 
 theory: venv  ## compare motion, meetings and walls with theory, and encounters with brute force (minutes)
 	$(PY) -m studies.motion_theory $(ARGS) && $(PY) -m studies.encounter_check

@@ -47,10 +47,12 @@ _DEFAULT = replace(
     bracketed=True,
     placed=True,
     smoothing_share=0.001,
+    smoothing_passes=2,
     max_candidates=20_000,
     n_points=400,
     encounters_per_point=10,
     epsilon_share=None,
+    replicates=2,
 )
 
 # As many as n_points may ask for.
@@ -76,6 +78,8 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Bracketed encounters are placed in the plane along the tracks of biobots, and those placed best are compared.
     smoothing_share
         Bracketed profiles are averaged over this share of the encounters around each.
+    smoothing_passes
+        How often they are averaged, one mean after the other.
     max_candidates
         Encounters that may become points, taken evenly in the order of time; 0: all.
     outlier_k, outlier_q
@@ -90,6 +94,8 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         The complex is drawn at this share of the diameter; without it, at the scale that shows the holes best.
     speed_mps
         Walking speed [m/s]: lengths are then metres, else seconds.
+    replicates
+        Parts of the time that are mapped too, to say how sure the map is; 0 says nothing of that, and takes half the time.
     """
 
     method: Method = Method.DEFAULT
@@ -99,6 +105,7 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     bracketed: bool | None = None
     placed: bool | None = None
     smoothing_share: Annotated[float, Meta(ge=0, le=0.1)] | None = None
+    smoothing_passes: Annotated[int, Meta(ge=1, le=100)] | None = None
     max_candidates: Annotated[int, Meta(ge=0, le=10_000_000)] | None = None
     outlier_k: Annotated[int, Meta(ge=1, le=1000)] | None = None
     outlier_q: Annotated[float, Meta(gt=0, le=1)] | None = None
@@ -107,6 +114,7 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     n_anchors: Annotated[int, Meta(ge=3, le=1000)] | None = None
     epsilon_share: Annotated[float, Meta(ge=0, le=1)] | None = None
     speed_mps: Annotated[float, Meta(gt=0)] | None = None
+    replicates: Annotated[int, Meta(ge=0, le=10)] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what limits alone let pass: a speed that is no number, and fewer candidates than points to be picked from them."""

@@ -140,7 +140,8 @@ def _map_group(
     lengths = glued.distances
     diagram = rips_persistence(lengths)
     diameter, reach = float(lengths.max()), float(np.median([part.reach for part in parts]))
-    real = [judge_intervals(part, rule, diameter=reach) for part, rule in zip(diagram.intervals, rules, strict=True)]
+    n_seen = int(np.median([part.n_used for part in parts]))
+    real = [judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)]
     merges, loops = diagram.intervals
     outlines = outline_holes(lengths, diagram, np.flatnonzero(real[1]))
     if recipe.epsilon_share is None:
@@ -173,6 +174,10 @@ def _map_group(
             for (birth, death), outline in zip(loops[real[1]].tolist(), outlines, strict=True)
         ),
         skeleton=build_skeleton(lengths, epsilon=epsilon),
+        diagram=diagram,
+        doubt=np.zeros(len(lengths)),
+        to_landmarks=np.zeros((len(lengths), 0)),
+        landmark_encounters=np.zeros(0, dtype=np.int64),
         n_anchors=0,
         warnings=(),
     )

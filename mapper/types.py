@@ -19,7 +19,7 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-ArrayT = TypeVar("ArrayT", IntArray, FloatArray)
+ArrayT = TypeVar("ArrayT", IntArray, FloatArray, BoolArray)
 
 TICKS_PER_S = 2_000_000_000
 
@@ -99,7 +99,8 @@ class BettiRuleKind(StrEnum):
 class BettiRule:
     """Which intervals of one dimension are real; lengths are shares of the metric's diameter.
 
-    ``QUANTILE``: ``length / (r_q + delta) > tau``. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
+    ``QUANTILE``: ``length / (r_q + delta) > tau * (1000 / n)**power`` for n encounters that are no outliers. ``RATIO``:
+    ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
     ``CONNECTED``: no finite interval is real; no number is used.
     """
 
@@ -107,6 +108,7 @@ class BettiRule:
     q: float
     delta: float
     tau: float
+    power: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,12 +117,14 @@ class Recipe:
 
     ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
     those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
-    vertices around each. ``placed``: they are placed in the plane along the tracks of biobots first, and those placed best become points,
-    if there are landmarks enough and the norm is the largest. Where profiles are compared, no more than ``max_candidates`` of the
-    vertices that are no outliers are smoothed and may become points, taken evenly in the order of time; 0 sets no limit. The subsample
-    has ``n_points``, or fewer where ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are
-    for dimensions 0 and 1; None takes those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a
-    share of the diameter; None lets the holes found decide. ``speed_mps`` None gives lengths in seconds.
+    vertices around each, ``smoothing_passes`` times. ``placed``: they are placed in the plane along the tracks of biobots first, if there
+    are landmarks enough and the norm is the largest, and what is averaged then is what stands behind a point beyond
+    ``encounters_per_point``. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are
+    smoothed and may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
+    ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
+    those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets
+    the holes found decide. ``speed_mps`` None gives lengths in seconds. So many ``replicates``, each of a part of the time, are mapped
+    too, to say how sure the map is; 0 says nothing of that.
     """
 
     method: Method
@@ -139,6 +143,8 @@ class Recipe:
     betti_rules: tuple[BettiRule, BettiRule] | None
     epsilon_share: float | None
     speed_mps: float | None
+    smoothing_passes: int = 1
+    replicates: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,7 +153,8 @@ class Points:
 
     All arrays have shape (p,). ``x`` and ``y`` are map coordinates [unit of lengths]; ``t_ns`` is the centre of the encounter [ns, rounded
     down]; ``component`` says which of ``MapResult.components`` it is in, and the points of one component stand together;
-    ``encounter`` is the row in the encounter table.
+    ``encounter`` is the row in the encounter table. ``is_well_seen``: its distances are most likely right (docs/confidence.md); None where
+    nobody knows.
     """
 
     x: FloatArray
@@ -157,9 +164,35 @@ class Points:
     id2: IntArray
     component: IntArray
     encounter: IntArray
+    is_well_seen: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.x)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What a component says of its scale.
+
+    ``straightness``: sum of squared lengths of links in the plane over that of their squared times, of the longer half of the links.
+    ``n_encounters``: of one view of the swarm. ``disc_share``: time spent at landmarks over the time walked.
+    """
+
+    straightness: float
+    n_encounters: float
+    disc_share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scale:
+    """By what a component's lengths were multiplied, so that they are distances and not walks.
+
+    ``error`` is the relative error of ``factor``, which follows from ``evidence``: two thirds of simulated runs were nearer.
+    """
+
+    factor: float
+    error: float
+    evidence: Evidence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -186,7 +219,9 @@ class ComponentMap:
     further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
     where a landmark stood.
     ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``. ``reach``: how far the swarm saw at
-    one time, which is the diameter where it did not move on; None in maps of earlier versions. ``places`` is None in maps that were stored.
+    one time, which is the diameter where it did not move on; None in maps of earlier versions. ``scale``: None where lengths are times
+    walked, times the speed. The loops of the true diagram are within ``stability_band`` of ``intervals[1]`` (bottleneck distance) in 95 of
+    100 maps; None where nobody knows. ``places`` is None in maps that were stored, and in joined ones.
     """
 
     n_encounters: int
@@ -201,16 +236,20 @@ class ComponentMap:
     intervals: tuple[FloatArray, FloatArray]
     betti_numbers: tuple[int, int]
     reach: float | None = None
+    scale: Scale | None = None
+    stability_band: float | None = None
     places: LandmarkPlaces | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hole:
-    """A hole called real: ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,).
+    """A hole called real, or one that may be there.
 
-    ``outline_xy`` is the polygon of what stands in it, as `mapper.hole_shapes` draws it: shape (k, 2), not closed, counter-clockwise;
-    (0, 2) where there is none. ``centre``, shape (2,), is inside it. ``area`` [unit^2] and ``perimeter`` [unit] are those of the obstacle,
-    with their standard errors; None where nothing is known of them.
+    ``outline`` has the indices of its points in ``MapResult.points``, in order, not closed; shape (m,). ``outline_xy`` is the polygon of
+    what stands in it, as `mapper.hole_shapes` draws it: shape (k, 2), not closed, counter-clockwise; (0, 2) where there is none.
+    ``centre``, shape (2,), is inside it. ``area`` [unit^2] and ``perimeter`` [unit] are those of the obstacle, with their standard errors;
+    None where nothing is known of them. ``probability``: that it goes around an obstacle one can walk around, and no longer interval goes
+    around the same; None where nobody knows.
     """
 
     component: int
@@ -223,6 +262,25 @@ class Hole:
     area_error: float | None = None
     perimeter: float | None = None
     perimeter_error: float | None = None
+    probability: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HoleCount:
+    """How many holes the map shows, how likely that is right, and how likely there are 0, 1, 2, ... holes in truth."""
+
+    value: int
+    probability: float
+    probabilities: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataVerdict:
+    """Whether the encounters are enough for what the map says; if not, why, and what would help."""
+
+    is_enough: bool
+    reasons: tuple[str, ...]
+    remedies: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -276,9 +334,10 @@ class MapResult:
     ``components`` are those that were mapped, the largest first; ``n_components`` counts all there are. ``edges`` (e, 2) and ``triangles``
     (t, 3) are indices of points: the Rips complex of each component at its ``epsilon``. ``diameter`` is the largest of
     any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m". ``node_names`` are what the log calls its nodes, empty where
-    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``edge_lengths``, shape (e,), are the map's distances along
-    ``edges``; none where a map does not tell them. ``landmarks`` are places where somebody stood by command and met somebody. ``others``
-    are encounters that were asked for and are no points of the map.
+    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``landmarks`` are places where somebody stood by command and
+    met somebody. ``others`` are encounters that were asked for and are no points of the map. ``possible_holes`` are loops that are not
+    called real and may be holes all the same, the likeliest first. ``hole_count`` and ``data`` are None where nobody knows how sure the map
+    is.
     """
 
     betti_numbers: tuple[int, int]
@@ -298,9 +357,11 @@ class MapResult:
     node_names: Mapping[int, str] = field(default_factory=dict)
     standing: Standing | None = None
     assumptions: tuple[Assumption, ...] = ()
-    edge_lengths: FloatArray = field(default_factory=lambda: np.zeros(0))
     landmarks: tuple[Landmark, ...] = ()
     others: Points | None = None
+    hole_count: HoleCount | None = None
+    possible_holes: tuple[Hole, ...] = ()
+    data: DataVerdict | None = None
 
 
 def read_only(array: ArrayT) -> ArrayT:

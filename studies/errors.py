@@ -171,5 +171,13 @@ class OtherDiagramError(StudyError):
         self.peer = peer
 
 
+class SummaryError(StudyError):
+    """What an experiment left cannot be reported: run the experiment again, in full."""
+
+    def __init__(self, *, path: Path, problem: str) -> None:
+        self.path = path
+        super().__init__(f"{path}: {problem}; run python -m studies.paper.{path.stem}, without --quick")
+
+
 class CampaignError(StudyError):
     """A campaign of faults cannot be run, or not to its end; the message says why and where the logs are."""

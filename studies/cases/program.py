@@ -9,8 +9,9 @@ import ast
 import hashlib
 import importlib.util
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,7 @@ def modules_behind(name: str) -> dict[str, Path]:
         found[one] = path
         # A package's __init__ runs before any module in it.
         open_names += [".".join(one.split(".")[:depth]) for depth in range(1, one.count(".") + 1)]
-        open_names += _imported(ast.parse(path.read_bytes()))
+        open_names += _imported(path.read_bytes())
     return found
 
 
@@ -70,6 +71,7 @@ def _sources(name: str) -> list[tuple[str, bytes]]:
     return sorted((python | compiled).items())
 
 
+@cache
 def reduce_source(source: bytes) -> bytes:
     """Return Python source without comments, docstrings and layout."""
     tree = ast.parse(source)
@@ -79,15 +81,17 @@ def reduce_source(source: bytes) -> bytes:
     return ast.unparse(tree).encode()
 
 
-def _imported(tree: ast.Module) -> Iterable[str]:
+@cache
+def _imported(source: bytes) -> tuple[str, ...]:
     """List what a module imports from our packages; of ``from a import b`` both a and a.b, of which one may not exist."""
-    for node in ast.walk(tree):
+    names: list[str] = []
+    for node in ast.walk(ast.parse(source)):
         match node:
-            case ast.Import(names=names):
-                yield from (one.name for one in names if one.name.split(".")[0] in OURS)
-            case ast.ImportFrom(module=str(module), names=names, level=0) if module.split(".")[0] in OURS:
-                yield module
-                yield from (f"{module}.{one.name}" for one in names)
+            case ast.Import(names=imported):
+                names += [one.name for one in imported if one.name.split(".")[0] in OURS]
+            case ast.ImportFrom(module=str(module), names=imported, level=0) if module.split(".")[0] in OURS:
+                names += [module, *(f"{module}.{one.name}" for one in imported)]
+    return tuple(names)
 
 
 def _file_of(name: str) -> Path | None:
