@@ -3,10 +3,15 @@
 import json
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 import numpy as np
 
 from mapper.types import BettiRule, BettiRuleKind, BoolArray, FloatArray, Method, MetricKind
+
+REFERENCE_ENCOUNTERS = 1000
+"""With so many, ``tau`` of a rule is what counts, whatever its ``power``."""
+_MOST_ENCOUNTERS = 20_000  # of the training runs
 
 _MIN_FOR_QUANTILE = 3
 # On exact geodesics of 200 arenas, death over birth above 2 alone counts the holes right in 99.5 %.
@@ -24,16 +29,27 @@ class TrainedRules:
 
 def load_trained_rules(method: Method, metric: MetricKind) -> TrainedRules:
     """Read the rules that the package ships for one method and metric."""
-    entries = json.loads(resources.files("mapper").joinpath("data", "classifier.json").read_text(encoding="utf-8"))
-    entry = entries[f"{method}/{metric}"]
-    rules = [
-        BettiRule(kind=BettiRuleKind(rule["rule"]), q=float(rule["q"]), delta=float(rule["delta"]), tau=float(rule["tau"]))
+    entry = read_rules()[f"{method}/{metric}"]
+    merges, loops = (
+        BettiRule(
+            kind=BettiRuleKind(rule["rule"]),
+            q=float(rule["q"]),
+            delta=float(rule["delta"]),
+            tau=float(rule["tau"]),
+            power=float(rule["power"]),
+        )
         for rule in (entry["dimension_0"], entry["dimension_1"])
-    ]
-    return TrainedRules(rules=(rules[0], rules[1]), trained_on=entry["trained_on"], command=entry["command"])
+    )
+    return TrainedRules(rules=(merges, loops), trained_on=entry["trained_on"], command=entry["command"])
 
 
-def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float) -> BoolArray:
+def read_rules() -> dict[str, Any]:
+    """Read ``classifier.json`` as it is: an entry for each method and metric."""
+    entries: dict[str, Any] = json.loads(resources.files("mapper").joinpath("data", "classifier.json").read_text(encoding="utf-8"))
+    return entries
+
+
+def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float, n_encounters: int = REFERENCE_ENCOUNTERS) -> BoolArray:
     """Say which intervals of one dimension are real.
 
     Parameters
@@ -42,6 +58,8 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float) 
         Birth and death, shape (m, 2), in any one unit of length; a death of inf is one component that never merges.
     diameter
         Largest distance of the metric space, same unit.
+    n_encounters
+        Encounters that are no outliers: a rule with a ``power`` asks less where there are more, up to 20,000.
 
     Returns
     -------
@@ -70,5 +88,15 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float) 
             is_real = ratio > _FEW_INTERVALS_RATIO
         case BettiRuleKind.QUANTILE:
             scale = float(np.quantile(length[is_finite], rule.q, method="lower")) + rule.delta
-            is_real = length > rule.tau * scale
+            is_real = length > rule.tau * share_of_tau(n_encounters, power=rule.power) * scale
     return np.asarray((is_real & is_finite) | is_infinite)
+
+
+def share_of_tau(n_encounters: int, *, power: float) -> float:
+    """Return the factor to ``tau`` with so many encounters: 1 with a thousand, never less than with 20,000.
+
+    Notes
+    -----
+    The more encounters there are, the less do the longest intervals of noise stand out from the others (docs/method.md).
+    """
+    return float((REFERENCE_ENCOUNTERS / min(max(n_encounters, 1), _MOST_ENCOUNTERS)) ** power)

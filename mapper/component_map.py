@@ -18,6 +18,7 @@ from mapper.persistence import rips_persistence
 from mapper.placement import Placement, place_in_plane, placed_profiles
 from mapper.placing import place_among
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
+from mapper.scale import estimate_scale, gather_evidence, load_scale_law
 from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon
 from mapper.subsampling import Subsample, stand_for, subsample_maxmin
 from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
@@ -32,7 +33,8 @@ _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
 # Of a map that many views were put together to: more points take long.
 _MAX_POINTS_OF_VIEWS = 1500
-# Own choice: fewer do not take the crookedness of walks away, where encounters are few.
+# Of the encounters that stand behind a point beyond those it needs, the share that is averaged with it (own choice, on training runs).
+_SPREAD_SHARE = 0.5
 _LEAST_AVERAGED = 12
 
 
@@ -102,15 +104,23 @@ def map_component(
     """
     begin("metric")
     references, n_anchors, warnings = _choose_references(graph, recipe, index=index)
-    compared = _compare_and_filter(graph, references, recipe, contact=contact, begin=begin)
+    compared = _compare_and_filter(graph, references, recipe, n_points=n_points, contact=contact, begin=begin)
     begin("subsample")
     sample = subsample_maxmin(compared.metric, compared.candidates, n_points=count_points_of_views(n_points, compared.views))
+    scale = None
+    if compared.placement is not None:
+        evidence = gather_evidence(graph, compared.placement, contact=contact, n_views=compared.views.number)
+        scale = estimate_scale(evidence, load_scale_law())
+        ticks_per_length /= scale.factor
     begin("persistence")
     lengths = sample.distances / ticks_per_length
     diagram = rips_persistence(lengths)
     diameter = float(lengths.max())
     reach = compared.views.reach * diameter
-    real = [judge_intervals(part, rule, diameter=reach) for part, rule in zip(diagram.intervals, rules, strict=True)]
+    n_used = int(graph.multiplicity[compared.kept].sum())
+    # Of several views, each sees a part of the encounters.
+    n_seen = int(n_used / compared.views.number)
+    real = [judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)]
     begin("embedding")
     embedding = embed_in_plane(lengths)
     vertices, coordinates = sample.vertices, embedding.coordinates
@@ -119,7 +129,6 @@ def map_component(
         vertices = stand_for(sample, compared.metric, compared.candidates, doubt=places.doubt, xy=places.xy)
         coordinates = turn_to_axes(places.xy[vertices] / ticks_per_length)
     merges, loops = diagram.intervals
-    n_used = int(graph.multiplicity[compared.kept].sum())
     size_model = load_size_model(recipe.method, recipe.metric)
     holes = tuple(
         shape_hole(
@@ -149,6 +158,7 @@ def map_component(
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
+            scale=scale,
         ),
         encounters=graph.first_encounter[vertices].astype(np.int64),
         coordinates=coordinates,
@@ -202,7 +212,7 @@ def _choose_references(graph: EncounterGraph, recipe: Recipe, *, index: int) -> 
 
 
 def _compare_and_filter(
-    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, contact: float, begin: Callable[[str], None]
+    graph: EncounterGraph, references: IntArray, recipe: Recipe, *, n_points: int, contact: float, begin: Callable[[str], None]
 ) -> _Compared:
     """Make the metric, and say which vertices are good enough, and which of those may be picked."""
     if recipe.metric is MetricKind.ENCOUNTER:
@@ -221,12 +231,17 @@ def _compare_and_filter(
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
     if recipe.placed and recipe.profile_norm is ProfileNorm.MAX and len(graph.landmarks) >= MIN_LANDMARKS:
-        return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, contact=contact)
+        return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, n_points=n_points, contact=contact)
     candidates = thin_out(kept, limit=recipe.max_candidates)
     # Of fewer candidates fewer are averaged, over the same area.
     share = recipe.smoothing_share * (candidates.sum() / kept.sum()) / views.number
     profiles = bracket.middle
-    profiles[candidates] = smooth_profiles(profiles[candidates], n_neighbours=round(share * graph.n_vertices), kernels=graph.kernels)
+    profiles[candidates] = smooth_profiles(
+        profiles[candidates],
+        n_neighbours=round(share * graph.n_vertices),
+        n_passes=recipe.smoothing_passes,
+        kernels=graph.kernels,
+    )
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
     return _Compared(metric=metric, kept=kept, candidates=candidates, views=views)
 
@@ -239,12 +254,20 @@ def _place_and_compare(
     bracket: ProfileBracket,
     kept: BoolArray,
     views: Views,
+    n_points: int,
     contact: float,
 ) -> _Compared:
     placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
     candidates = thin_out(kept & placement.is_placed, limit=recipe.max_candidates)
     n_averaged = max(_LEAST_AVERAGED, round(recipe.smoothing_share / views.number * placement.is_placed.sum()))
     profiles = placed_profiles(graph, placement, candidates, references, middle=bracket.middle, n_neighbours=n_averaged)
+    surplus = candidates.sum() / count_points_of_views(n_points, views) - recipe.encounters_per_point
+    profiles[candidates] = smooth_profiles(
+        profiles[candidates],
+        n_neighbours=max(0, round(_SPREAD_SHARE * surplus)),
+        n_passes=recipe.smoothing_passes,
+        kernels=graph.kernels,
+    )
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
     return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, placement=placement)
 

@@ -47,6 +47,7 @@ _DEFAULT = replace(
     bracketed=True,
     placed=True,
     smoothing_share=0.001,
+    smoothing_passes=2,
     max_candidates=20_000,
     n_points=400,
     encounters_per_point=10,
@@ -76,6 +77,8 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Bracketed encounters are placed in the plane along the tracks of biobots, and those placed best are compared.
     smoothing_share
         Bracketed profiles are averaged over this share of the encounters around each.
+    smoothing_passes
+        How often they are averaged, one mean after the other.
     max_candidates
         Encounters that may become points, taken evenly in the order of time; 0: all.
     outlier_k, outlier_q
@@ -99,6 +102,7 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     bracketed: bool | None = None
     placed: bool | None = None
     smoothing_share: Annotated[float, Meta(ge=0, le=0.1)] | None = None
+    smoothing_passes: Annotated[int, Meta(ge=1, le=100)] | None = None
     max_candidates: Annotated[int, Meta(ge=0, le=10_000_000)] | None = None
     outlier_k: Annotated[int, Meta(ge=1, le=1000)] | None = None
     outlier_q: Annotated[float, Meta(gt=0, le=1)] | None = None

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 from mapper.types import BoolArray, EncounterTable, IntArray
 
-_MOST_NODES = 3_000  # a table of all pairs is kept
+_MOST_NODES = 2_000  # a table of all pairs is kept
 _FEWEST_NODES = 8  # with fewer, pairs show nothing
 _SAMPLED = 400
 _MOST_LOOKED_THROUGH = 100_000

@@ -49,8 +49,8 @@ class MapSketch:
         Of p points, shapes (p, 2) and (p,).
     met_xy, met_component, met_t_s, met_id1, met_id2
         Of all encounters that have a place, the points first: shape (q, 2), and (q,) for the others; times [s of the map's clock].
-    edges, edge_lengths
-        Of the complex: indices of points, shape (e, 2), and the map's distances along them, shape (e,).
+    edges
+        Of the complex, as indices of points, shape (e, 2).
     cover_radii
         Of each component.
     """
@@ -65,7 +65,6 @@ class MapSketch:
     landmarks: tuple[Stand, ...]
     obstacles: tuple[Obstacle, ...]
     edges: IntArray
-    edge_lengths: FloatArray
     cover_radii: tuple[float, ...]
     length_unit: str
 
@@ -103,7 +102,6 @@ def sketch_map(result: MapResult) -> MapSketch:
             if hole.centre is not None
         ),
         edges=result.edges,
-        edge_lengths=result.edge_lengths,
         cover_radii=tuple(part.cover_radius for part in result.components),
         length_unit=result.length_unit,
     )
@@ -139,7 +137,6 @@ class _Landmark(msgspec.Struct, frozen=True, kw_only=True):
 
 class _Complex(msgspec.Struct, frozen=True, kw_only=True):
     edges: list[tuple[_Natural, _Natural]]
-    edge_lengths: list[Annotated[float, Meta(ge=0)]]
 
 
 class _Component(msgspec.Struct, frozen=True, kw_only=True):
@@ -170,7 +167,7 @@ def sketch_document(document: Mapping[str, object], *, source: str) -> MapSketch
     Raises
     ------
     MapDocumentError
-        It is no map, or one of an earlier version that does not tell the lengths of its edges.
+        It is no map, or one of an earlier version that does not tell where landmarks and obstacles are.
     """
     try:
         map_ = msgspec.convert(document, _Document)
@@ -193,7 +190,6 @@ def sketch_document(document: Mapping[str, object], *, source: str) -> MapSketch
         ),
         obstacles=tuple(_obstacles(map_, source)),
         edges=np.array(map_.complex.edges, dtype=np.int64).reshape(-1, 2),
-        edge_lengths=np.array(map_.complex.edge_lengths),
         cover_radii=tuple(part.cover_radius for part in map_.components),
         length_unit=map_.parameters.length_unit,
     )
@@ -202,8 +198,6 @@ def sketch_document(document: Mapping[str, object], *, source: str) -> MapSketch
 def _check(map_: _Document, source: str) -> None:
     n_points, n_components = len(map_.points), len(map_.components)
     faults = []
-    if len(map_.complex.edges) != len(map_.complex.edge_lengths):
-        faults.append(f"complex has {len(map_.complex.edges)} edges, but {len(map_.complex.edge_lengths)} lengths")
     if any(max(edge) >= n_points for edge in map_.complex.edges):
         faults.append(f"an edge leads to a point beyond the {n_points} there are")
     components = [part.component for part in map_.points] + [part.component for part in map_.holes]

@@ -218,7 +218,6 @@ def _assemble(
         length_unit="s" if recipe.speed_mps is None else "m",
         recipe=recipe,
         warnings=tuple(warnings),
-        edge_lengths=read_only(np.concatenate([part.summary.distances[tuple(part.skeleton.edges.T)] for part in placed])),
     )
 
 

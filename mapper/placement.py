@@ -32,6 +32,7 @@ _STRESS_NUMBERS = 2**22  # of all rounds together, beyond which there are fewer
 _MAX_PLACED = 40_000
 _BLOCKS = 8
 _DIRECTIONS = 16
+_BEND_PER_DISTANCE = 1.0  # how much a difference in bends counts beside one in place (own choice, on training runs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,12 +98,12 @@ def placed_profiles(
     straight = np.hypot(*(xy[:, None] - placement.xy[references][None]).transpose(2, 0, 1))
     bend = middle[rows] - straight
     # Neighbours in the plane, but not across a wall, where the ways to many landmarks differ.
-    near = np.column_stack([bend, xy])
+    near = np.column_stack([bend / _BEND_PER_DISTANCE, xy])
     mean = graph.kernels.average_nearest(near, n_nearest=min(len(rows), n_neighbours))
     angles = np.arange(_DIRECTIONS) * (np.pi / _DIRECTIONS)
     lines = xy[:, :1] * np.cos(angles) + xy[:, 1:] * np.sin(angles)
     profiles = np.full((graph.n_vertices, len(references) + _DIRECTIONS), np.nan)
-    profiles[rows] = np.column_stack([straight + mean[:, : len(references)], lines])
+    profiles[rows] = np.column_stack([straight + _BEND_PER_DISTANCE * mean[:, : len(references)], lines])
     return profiles
 
 

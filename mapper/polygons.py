@@ -4,9 +4,6 @@ import numpy as np
 
 from mapper.types import BoolArray, FloatArray
 
-# Uncrossing shortens the polygon each time; far more often than rounding allows for, it has found no better order.
-_MAX_SWAPS = 1_000
-
 
 def signed_area(corners: FloatArray) -> float:
     """Return the area inside [length^2]: above 0 counter-clockwise, below 0 clockwise (the shoelace formula)."""
@@ -97,15 +94,17 @@ def uncross(corners: FloatArray) -> FloatArray | None:
 
     Notes
     -----
-    Two sides that cross are replaced by the other two sides of their quadrangle, which together are shorter, so it ends.
+    Two sides that cross are replaced by the other two sides of their quadrangle, which together are shorter, so it ends. It is given up
+    where sides touch without crossing and nothing gets shorter.
     """
     order = corners.copy()
-    for _ in range(_MAX_SWAPS):
-        crossing = _first_crossing(order)
-        if crossing is None:
-            break
+    while (crossing := _first_crossing(order)) is not None:
         i, j = crossing
-        order[i + 1 : j + 1] = order[i + 1 : j + 1][::-1].copy()
+        turned = order.copy()
+        turned[i + 1 : j + 1] = order[i + 1 : j + 1][::-1]
+        if boundary_length(turned) >= boundary_length(order):
+            return None
+        order = turned
     if not is_simple(order):
         return None
     return order if signed_area(order) > 0 else np.concatenate([order[:1], order[:0:-1]])

@@ -145,6 +145,12 @@ def _draw_map(axes: Axes, result: MapResult, *, part: str | None, pinned: Pinned
             label="landmark",
         )
     if pinned is not None:
+        for component in range(len(result.components)):
+            own = xy[points.component == component]
+            if component not in pinned.frame.fits:
+                axes.annotate(
+                    f"component {component}: no pins", (float(own[:, 0].mean()), float(own[:, 1].max())), ha="center", va="bottom"
+                )
         known = np.array([pin.known_m for pin in pinned.pins])
         axes.scatter(known[:, 0], known[:, 1], marker="x", s=50, color=_PIN, linewidths=2, zorder=5, label="pin, where it is known to be")
     if result.landmarks or pinned is not None:

@@ -24,7 +24,7 @@ def to_json_object(result: MapResult) -> JsonObject:
         coordinates, time [s] and biobots; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth, death,
         component, and ``confidence`` null until it is known; of each also ``outline_xy``, the polygon of what stands in it (closed,
         counter-clockwise), ``centre`` inside it, ``area``, ``perimeter`` and their standard errors, null where they are not known;
-        ``landmarks`` with their places and times; ``complex`` (edges and triangles as indices of points, lengths of edges);
+        ``landmarks`` with their places and times; ``complex`` (edges and triangles as indices of points);
         ``components`` (those mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``,
         ``n_used``, ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source,
         reason; null but for a file) and ``assumptions`` (name, holds, text). Ids are numbers, or the names that the log has for them.
@@ -60,11 +60,7 @@ def to_json_object(result: MapResult) -> JsonObject:
             for hole in result.holes
         ],
         "landmarks": [_landmark(landmark, name(to_unsigned(landmark.node))) for landmark in result.landmarks],
-        "complex": {
-            "edges": result.edges.tolist(),
-            "triangles": result.triangles.tolist(),
-            "edge_lengths": [float(f"{length:.6g}") for length in result.edge_lengths.tolist()],
-        },
+        "complex": {"edges": result.edges.tolist(), "triangles": result.triangles.tolist()},
         "components": [_component(part, index) for index, part in enumerate(result.components)],
         "n_components": result.n_components,
         "diameter": result.diameter,
@@ -134,6 +130,7 @@ def _component(part: ComponentMap, index: int) -> JsonObject:
         "cover_radius": part.cover_radius,
         "epsilon": part.epsilon,
         "lost_spectrum": part.lost_spectrum,
+        "scale": None if part.scale is None else {"factor": part.scale.factor, "error": part.scale.error},
     }
 
 
@@ -181,6 +178,7 @@ def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
         "bracketed": recipe.bracketed,
         "placed": recipe.placed,
         "smoothing_share": recipe.smoothing_share,
+        "smoothing_passes": recipe.smoothing_passes,
         "max_candidates": recipe.max_candidates,
         "outlier_k": recipe.outlier_k,
         "outlier_q": recipe.outlier_q,
@@ -195,7 +193,7 @@ def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
 
 
 def _rule(rule: BettiRule) -> JsonObject:
-    return {"rule": str(rule.kind), "q": rule.q, "delta": rule.delta, "tau": rule.tau}
+    return {"rule": str(rule.kind), "q": rule.q, "delta": rule.delta, "tau": rule.tau, "power": rule.power}
 
 
 def _counted(number: int, noun: str) -> str:

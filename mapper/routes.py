@@ -1,6 +1,7 @@
 """Routes around obstacles: between two places the shortest way of each kind, where ways of one kind can be drawn into each other.
 
-A route goes along the edges of the drawn complex, which biobots walked; edges that pass through an obstacle as it is drawn are left out.
+A route goes along the edges of the drawn complex, where biobots walked; edges that pass through an obstacle as it is drawn are left out.
+Lengths are those in the picture: the map's distances between single points overstate short ways (`python -m studies.routes`).
 Kinds are told apart by signatures (`mapper.crossings`), and the shortest routes of the best kinds are found by a search over places *and*
 signatures [BLK12]: A* with the exact distance to the goal, whatever the kind, as its bound.
 """
@@ -44,7 +45,7 @@ class RouteErrors:
 class Route:
     """The shortest route of its kind.
 
-    ``xy``, shape (n, 2), are its corners from begin to end; ``length`` the sum of the map's distances between them, and ``length_error``
+    ``xy``, shape (n, 2), are its corners from begin to end; ``length`` is that in the picture, and ``length_error``
     its standard error, both in the unit of the map; ``signature`` says on which sides it passes; ``passes`` has for each
     obstacle of the component its number and how far the route turns about its centre, in full turns, counter-clockwise.
     """
@@ -99,8 +100,7 @@ def find_routes(sketch: MapSketch, begin: FoundPlace, end: FoundPlace, *, classe
     Raises
     ------
     RouteError
-        The places are in different components, or one is in an obstacle, or no edge of the complex joins them, or the map does not tell the
-        lengths of its edges.
+        The places are in different components, or one is in an obstacle, or no edges of the complex join them.
 
     Notes
     -----
@@ -211,8 +211,6 @@ def _check_places(sketch: MapSketch, begin: FoundPlace, end: FoundPlace) -> int:
     if begin.component != end.component:
         problem = f"they are in components {begin.component} and {end.component}, which no biobot joins"
         next_step = "name places in one component, or record until biobots have walked between them"
-    elif len(sketch.edges) != len(sketch.edge_lengths):
-        problem, next_step = "the map does not tell the lengths of its edges", "make it again with this version"
     else:
         for place in (begin, end):
             for obstacle in sketch.obstacles:
@@ -228,7 +226,7 @@ def _make_graph(sketch: MapSketch, begin: FoundPlace, end: FoundPlace, obstacles
     """Take the edges of the component that pass through no obstacle, and join begin and end to it."""
     own = sketch.component == begin.component
     edges = sketch.edges[own[sketch.edges[:, 0]]]
-    lengths = sketch.edge_lengths[own[sketch.edges[:, 0]]]
+    lengths = np.hypot(*(sketch.xy[edges[:, 0]] - sketch.xy[edges[:, 1]]).T)
     is_free = ~_is_blocked(sketch.xy[edges[:, 0]], sketch.xy[edges[:, 1]], obstacles)
     xy = np.concatenate([sketch.xy, [begin.xy, end.xy]])
     gates = [_join_place(place, len(sketch.xy) + number, sketch, own, obstacles) for number, place in enumerate((begin, end))]

@@ -23,7 +23,8 @@ the probability), and how well the distances between them must agree between the
 _LESS_EVIDENCE, _CLOSE_AGREEMENT, _LEAST_WEIGHT = -15.0, 0.97, 35.0
 """The same where only both together prove it. All thresholds: chosen on seeds 0-139 of `studies.stationary_check`."""
 
-_MOST_NODES = 3_000
+_MOST_NODES = 2_000
+_FEWEST_VISITORS = 3  # of a place: whom one phone alone hears may go where its owner goes
 _MOST_ENCOUNTERS = 50_000  # of each half: the distances are good long before
 _MOST_CANDIDATES = 128  # the busiest: a table of times from all encounters to each is kept
 _DROPPED_AT_ONCE = 10  # one in so many
@@ -129,6 +130,7 @@ def _candidates(has_met: BoolArray) -> list[IntArray]:
 def _judge(table: EncounterTable, meetings: _Meetings, candidates: IntArray, kernels: Kernels) -> StationaryNodes:
     """Drop the candidates that are not where they were, one by one, and see whether what is left stands beyond doubt."""
     halves = _halves(table)
+    candidates = candidates[(meetings.counts[candidates] > 0).sum(axis=1) >= _FEWEST_VISITORS]
     often = meetings.counts[candidates].sum(axis=1)
     kept = np.sort(candidates[np.argsort(-often, kind="stable")[:_MOST_CANDIDATES]])
     while len(kept) >= FEWEST_STATIONARY:

@@ -1,6 +1,7 @@
 """Pick few encounters that cover all others: maxmin (furthest-point) sampling."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -13,9 +14,8 @@ _MAX_HUB_NUMBERS: Final = 2**26
 _MIN_HUBS: Final = 8
 # Every step of a search looks at all hubs.
 _MAX_HUBS: Final = 64
-# Candidates to choose among, for each that there is to a pick.
-_NEARBY: Final = 2
-_BETTER_SHARE: Final = 0.6
+# Of what most picks have to the next: no encounter stands for a pick that is further away.
+_LONGEST_REACH: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,6 +62,8 @@ def stand_for(sample: Subsample, metric: ProfileMetric, candidates: BoolArray, *
 
     Parameters
     ----------
+    metric
+        No distance is below that in the plane, within a few percent.
     candidates
         Those that were picked from, shape (v,).
     doubt, xy
@@ -70,34 +72,55 @@ def stand_for(sample: Subsample, metric: ProfileMetric, candidates: BoolArray, *
     Returns
     -------
     IntArray
-        Shape (m,), in the order of the picks. Each is among the candidates nearest in the plane, twice as many as there are for each pick,
-        among the 60 % of all with least doubt, and no further from its pick than the next pick is, by the metric; or it is the pick.
+        Shape (m,), in the order of the picks. Each is no further from its pick than the next pick is, by the metric, nor than 1.5
+        times that of most picks.
 
     Notes
     -----
     Maxmin picks the worst errors first, so a pick is a good place and a bad encounter. Filtering by doubt before would leave gaps that look
     like holes. No vertex stands for two picks: earlier ones choose first. Ties go to the earlier vertex.
     """
-    everyone = np.flatnonzero(candidates)
-    better = everyone[doubt[everyone] <= np.quantile(doubt[everyone], _BETTER_SHARE)]
-    n_nearby = min(len(better), _NEARBY * len(better) // len(sample.vertices))
-    if n_nearby < 1 or len(sample.vertices) < 2:
-        return sample.vertices
-    own, other = xy[sample.vertices], xy[better]
-    squared = own @ (-2.0 * other.T)
-    squared += (other**2).sum(axis=1)
-    nearby = better[np.sort(np.argpartition(squared, n_nearby - 1, axis=1)[:, :n_nearby], axis=1)]
-    apart = np.abs(metric.profiles[nearby] - metric.profiles[sample.vertices][:, None]).max(axis=2)
-    to_next = np.where(np.eye(len(own), dtype=bool), np.inf, sample.distances).min(axis=1)
-    is_around = apart < to_next[:, None]
-    is_taken = np.zeros(len(candidates), dtype=bool)
-    is_taken[sample.vertices] = True
     chosen = sample.vertices.copy()
-    for pick, row in enumerate(nearby):
-        free = row[is_around[pick] & ~is_taken[row]]
-        if len(free):
-            best = free[doubt[free].argmin()]
-            if doubt[best] < doubt[chosen[pick]]:
-                chosen[pick] = best
-                is_taken[best] = True
+    if len(chosen) < 2:
+        return chosen
+    to_next = np.where(np.eye(len(chosen), dtype=bool), np.inf, sample.distances).min(axis=1)
+    reach = np.minimum(to_next, _LONGEST_REACH * float(np.median(to_next)))
+    eligible = np.flatnonzero(candidates)
+    pick, other = _pairs_within(xy[chosen], xy[eligible], reach)
+    other = eligible[other]
+    is_around = np.abs(metric.profiles[chosen[pick]] - metric.profiles[other]).max(axis=1) < reach[pick]
+    pick, other = pick[is_around], other[is_around]
+    is_taken = np.zeros(len(candidates), dtype=bool)
+    is_taken[chosen] = True
+    order = np.lexsort((other, doubt[other], pick))
+    bounds = np.searchsorted(pick[order], np.arange(len(chosen) + 1)).tolist()
+    for row, (begin, end) in enumerate(pairwise(bounds)):
+        nearby = other[order[begin:end]]
+        free = nearby[~is_taken[nearby]]
+        if len(free) and doubt[free[0]] < doubt[chosen[row]]:
+            chosen[row] = free[0]
+            is_taken[free[0]] = True
     return chosen
+
+
+def _pairs_within(centres: FloatArray, places: FloatArray, reach: FloatArray) -> tuple[IntArray, IntArray]:
+    """List which places, shape (n, 2), are within reach of which centres, shape (m, 2), those of one centre together.
+
+    Places are sorted into the squares of a grid, as wide as the longest reach, and only those of nine squares are measured.
+    """
+    width = float(reach.max())
+    low = places.min(axis=0)
+    column, line = (((places - low) / width).astype(np.int64) + 1).T
+    n_lines = int(line.max(initial=0)) + 2
+    square = column * n_lines + line
+    order = np.argsort(square, kind="stable")
+    in_order = square[order]
+    at_column, at_line = (np.floor((centres - low) / width).astype(np.int64) + 1).T
+    # Squares of one column are side by side in the order: three runs for each centre.
+    runs = (at_column[:, None] + np.array([-1, 0, 1])) * n_lines + at_line[:, None]
+    begin = np.searchsorted(in_order, (runs - 1).ravel(), side="left")
+    size = np.searchsorted(in_order, (runs + 1).ravel(), side="right") - begin
+    centre = np.repeat(np.repeat(np.arange(len(centres)), 3), size)
+    place = order[np.arange(len(centre)) - np.repeat(np.cumsum(size) - size, size) + np.repeat(begin, size)]
+    is_within = ((centres[centre] - places[place]) ** 2).sum(axis=1) < reach[centre] ** 2
+    return centre[is_within], place[is_within]

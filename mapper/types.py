@@ -99,7 +99,8 @@ class BettiRuleKind(StrEnum):
 class BettiRule:
     """Which intervals of one dimension are real; lengths are shares of the metric's diameter.
 
-    ``QUANTILE``: ``length / (r_q + delta) > tau``. ``RATIO``: ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
+    ``QUANTILE``: ``length / (r_q + delta) > tau * (1000 / n)**power`` for n encounters that are no outliers. ``RATIO``:
+    ``death / birth > tau`` and ``length > delta``; ``q`` is not used.
     ``CONNECTED``: no finite interval is real; no number is used.
     """
 
@@ -107,6 +108,7 @@ class BettiRule:
     q: float
     delta: float
     tau: float
+    power: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,12 +117,13 @@ class Recipe:
 
     ``bracketed`` profiles are the middle of their bounds, and badly bounded encounters count as outliers; otherwise ``outlier_k`` finds
     those far from their neighbours. ``outlier_q`` 1 keeps every encounter. Bracketed profiles are averaged over ``smoothing_share`` of the
-    vertices around each. ``placed``: they are placed in the plane along the tracks of biobots first, and those placed best become points,
-    if there are landmarks enough and the norm is the largest. Where profiles are compared, no more than ``max_candidates`` of the
-    vertices that are no outliers are smoothed and may become points, taken evenly in the order of time; 0 sets no limit. The subsample
-    has ``n_points``, or fewer where ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are
-    for dimensions 0 and 1; None takes those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a
-    share of the diameter; None lets the holes found decide. ``speed_mps`` None gives lengths in seconds.
+    vertices around each, ``smoothing_passes`` times. ``placed``: they are placed in the plane along the tracks of biobots first, if there
+    are landmarks enough and the norm is the largest, and what is averaged then is what stands behind a point beyond
+    ``encounters_per_point``. Where profiles are compared, no more than ``max_candidates`` of the vertices that are no outliers are
+    smoothed and may become points, taken evenly in the order of time; 0 sets no limit. The subsample has ``n_points``, or fewer where
+    ``encounters_per_point`` encounters do not stand behind each; 0 asks for none. ``betti_rules`` are for dimensions 0 and 1; None takes
+    those trained for this method and metric. ``epsilon_share`` is the scale of the drawn complex as a share of the diameter; None lets
+    the holes found decide. ``speed_mps`` None gives lengths in seconds.
     """
 
     method: Method
@@ -139,6 +142,7 @@ class Recipe:
     betti_rules: tuple[BettiRule, BettiRule] | None
     epsilon_share: float | None
     speed_mps: float | None
+    smoothing_passes: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -162,6 +166,31 @@ class Points:
         return len(self.x)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What a component says of its scale.
+
+    ``straightness``: sum of squared lengths of links in the plane over that of their squared times, of the longer half of the links.
+    ``n_encounters``: of one view of the swarm. ``disc_share``: time spent at landmarks over the time walked.
+    """
+
+    straightness: float
+    n_encounters: float
+    disc_share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scale:
+    """By what a component's lengths were multiplied, so that they are distances and not walks.
+
+    ``error`` is the relative error of ``factor``, which follows from ``evidence``: two thirds of simulated runs were nearer.
+    """
+
+    factor: float
+    error: float
+    evidence: Evidence
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ComponentMap:
     """One connected component of the encounter graph, mapped. Lengths are in the unit of the map.
@@ -171,7 +200,8 @@ class ComponentMap:
     further than this from a point of the subsample. ``epsilon`` is the scale at which the complex is drawn. ``n_landmarks`` counts places
     where a landmark stood.
     ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``. ``reach``: how far the swarm saw at
-    one time, which is the diameter where it did not move on; None in maps of earlier versions.
+    one time, which is the diameter where it did not move on; None in maps of earlier versions. ``scale``: None where lengths are times
+    walked, times the speed.
     """
 
     n_encounters: int
@@ -186,6 +216,7 @@ class ComponentMap:
     intervals: tuple[FloatArray, FloatArray]
     betti_numbers: tuple[int, int]
     reach: float | None = None
+    scale: Scale | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -260,9 +291,8 @@ class MapResult:
     ``components`` are those that were mapped, the largest first; ``n_components`` counts all there are. ``edges`` (e, 2) and ``triangles``
     (t, 3) are indices of points: the Rips complex of each component at its ``epsilon``. ``diameter`` is the largest of
     any component, and so is ``lost_spectrum``. ``length_unit`` is "s" or "m". ``node_names`` are what the log calls its nodes, empty where
-    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``edge_lengths``, shape (e,), are the map's distances along
-    ``edges``; none where a map does not tell them. ``landmarks`` are places where somebody stood by command and met somebody. ``others``
-    are encounters that were asked for and are no points of the map.
+    they are numbers. ``standing`` and ``assumptions`` are of maps of a file. ``landmarks`` are places where somebody stood by command and
+    met somebody. ``others`` are encounters that were asked for and are no points of the map.
     """
 
     betti_numbers: tuple[int, int]
@@ -282,7 +312,6 @@ class MapResult:
     node_names: Mapping[int, str] = field(default_factory=dict)
     standing: Standing | None = None
     assumptions: tuple[Assumption, ...] = ()
-    edge_lengths: FloatArray = field(default_factory=lambda: np.zeros(0))
     landmarks: tuple[Landmark, ...] = ()
     others: Points | None = None
 

@@ -24,6 +24,7 @@ class ArenaFamily(StrEnum):
     SMALL_SQUARES = "small-squares"  # 4 to 6 of side 5-8
     BIG_SQUARE = "big-square"  # none, or one of side 20, at least 10 from every wall
     SHAPES = "shapes"  # other outlines (L, corridor, rooms, disc, random polygon) and other obstacles
+    OBSTACLES = "obstacles"  # 0 to 4 of other shapes (L, U, triangle, disc, star) some 12 wide, turned, in a square of side 50
 
 
 def draw_arena(family: ArenaFamily, *, seed: int) -> Polygon:
@@ -45,6 +46,8 @@ def draw_arena(family: ArenaFamily, *, seed: int) -> Polygon:
             return place_squares(square, rng, n_holes=4 + seed % 3, sides=(5.0, 8.0))
         case ArenaFamily.BIG_SQUARE:
             return place_squares(square, rng, n_holes=seed % 2, sides=(20.0, 20.0), passage=_WIDE_PASSAGE)
+        case ArenaFamily.OBSTACLES:
+            return _draw_obstacles(square, rng, n_holes=seed % 5)
         case ArenaFamily.SHAPES:
             return _draw_shape(rng, kind=seed % 6)
 
@@ -86,6 +89,44 @@ def place_squares(
         if len(holes) == n_holes:
             return Polygon(outline.exterior, [hole.exterior for hole in holes])
     raise NoRoomError(n_holes=n_holes, sides=sides, area=float(outline.area))
+
+
+def _draw_obstacles(outline: Polygon, rng: np.random.Generator, *, n_holes: int) -> Polygon:
+    """Cut obstacles of many shapes out of an outline, with room to pass on every side of each."""
+    room = outline.buffer(-_PASSAGE)
+    x_min, y_min, x_max, y_max = outline.bounds
+    for _ in range(_RESTARTS):
+        holes: list[Polygon] = []
+        for _ in range(_TRIES if n_holes else 0):
+            drawn = affinity.rotate(_draw_obstacle(rng), float(rng.uniform(0, 360)))
+            hole = affinity.translate(drawn, rng.uniform(x_min, x_max), rng.uniform(y_min, y_max))
+            if room.contains(hole) and all(hole.distance(other) >= _PASSAGE for other in holes):
+                holes.append(hole)
+            if len(holes) == n_holes:
+                return Polygon(outline.exterior, [hole.exterior for hole in holes])
+        if n_holes == 0:
+            return outline
+    raise NoRoomError(n_holes=n_holes, sides=(10.0, 14.0), area=float(outline.area))
+
+
+def _draw_obstacle(rng: np.random.Generator) -> Polygon:
+    """Draw an L, a U, a triangle, a disc or a star about the origin, 10 to 14 wide."""
+    width = float(rng.uniform(10, 14))
+    third = width / 3
+    match int(rng.integers(0, 5)):
+        case 0:
+            corners = [(0, 0), (width, 0), (width, third), (third, third), (third, width), (0, width)]
+        case 1:
+            corners = [(0, 0), (width, 0), (width, width), (width - 3, width), (width - 3, 3), (3, 3), (3, width), (0, width)]
+        case 2:
+            corners = [(0, 0), (width, 0), (float(rng.uniform(0, width)), width)]
+        case 3:
+            return Point(0, 0).buffer(width / 2)
+        case _:
+            angles = np.arange(10) * np.pi / 5
+            radii = width / 2 * np.tile([1.0, 0.55], 5)
+            return Polygon(np.column_stack([radii * np.cos(angles), radii * np.sin(angles)]))
+    return affinity.translate(Polygon(corners), -width / 2, -width / 2)
 
 
 def _draw_shape(rng: np.random.Generator, *, kind: int) -> Polygon:

@@ -19,7 +19,15 @@ _DEFAULT_RUNS = {
     "squares/paper-50cm": 200,
     "small-squares/paper-50cm": 60,
     "big-square/hisser-field": 200,
+    "big-square/hisser-stops": 200,
+    "big-square/hisser-lossy": 60,
+    "big-square/hisser-lossy-stops": 60,
     "shapes/long": 180,
+    "obstacles/long": 100,
+    "squares/short": 200,
+    "squares/dead-landmarks": 200,
+    "squares/few": 200,
+    "squares/crowd": 60,
 }
 
 
@@ -37,7 +45,7 @@ class Tally:
     def line(self) -> str:
         """Tell it in one line."""
         by_holes = "  ".join(f"{holes}: {right}/{runs}" for holes, (right, runs) in sorted(self.right_of.items()))
-        return f"{self.setting:26} {self.right:4d} of {self.runs:4d} = {self.right / self.runs:6.1%}   {self.encounters:6d}   {by_holes}"
+        return f"{self.setting:30} {self.right:4d} of {self.runs:4d} = {self.right / self.runs:6.1%}   {self.encounters:6d}   {by_holes}"
 
 
 def tally(trials: Sequence[Trial], *, setting: str) -> Tally:
@@ -88,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--runs is {options.runs}; wanted at least 1")
     recipe = make_recipe(RecipeConfig(method=options.method, metric=options.metric))
     print(f"method {recipe.method}, metric {recipe.metric}, seeds from {options.seed}")
-    print("setting                    holes right          encounters   right by true number of holes")
+    print("setting                        holes right          encounters   right by true number of holes")
     for setting in options.setting or list(SETTINGS):
         runs = options.runs or _DEFAULT_RUNS[setting]
         try:

@@ -23,7 +23,7 @@ from studies.errors import StudyError
 from studies.hole_runs import HELD_OUT_SEED, HOLE_RUNS, SWARMS, HoleCase, HoleRun, MatchedHole
 from studies.truth import Floats
 
-TRAINING_RUNS = {"paper-units": 200, "paper-units, three times as long": 100, "paper-50cm": 60, "hisser-field": 250}
+TRAINING_RUNS = {"paper-units": 150, "paper-units, three times as long": 75, "paper-50cm": 45, "hisser-field": 200}
 _QUICK_RUNS = 20
 _RIDGE = 1.0  # holes' worth of belief that a correction is not needed
 _SHARE_WITHIN = 0.683  # of a normal distribution within one standard deviation

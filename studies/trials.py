@@ -1,18 +1,23 @@
 """Trials: one simulated run in a random arena, mapped, and what came out beside the truth."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+from shapely import affinity
 
 from mapper.pipeline import compute_map
 from mapper.types import EncounterTable, FloatArray, ModeSpell, Recipe
 from simulator.arenas.arena import build_arena
 from simulator.config import Ranges
 from simulator.motion import MotionParameters
+from simulator.presets import PRESETS
+from simulator.radios.paths import Paths
+from simulator.radios.radio import RADIO_PRESETS
+from simulator.radios.sensing import SensingConfig, sense
 from simulator.world import World
 from studies.arenas import ArenaFamily, draw_arena
 from studies.cases import Study
-from studies.exploration import explore
+from studies.exploration import DISPERSION_S, explore, tabulate
 
 # Training takes seeds from 0 on.
 HELD_OUT_SEED = 10_000
@@ -23,7 +28,13 @@ _WITHOUT_EFFECT = {"betti_rules", "epsilon_share", "speed_mps"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """A family of runs: which arenas, how many biobots, how they walk. Lengths are those of an arena of side 50, speed is 1 per second."""
+    """A family of runs: which arenas, how many biobots, how they walk and how they are heard.
+
+    Lengths are those of an arena of side 50, speed is 1 per second; ``metres`` and ``seconds`` are what one unit of each is in the
+    run, whose numbers are metres and seconds then. ``dead_landmarks``: so many fall silent half-way. ``stops``: insects stop by
+    themselves, as those of the preset ``hisser-field`` do. ``radio``: a radio preset by whose beacons, one a second, encounters are
+    sensed; None: they are exact.
+    """
 
     name: str
     family: ArenaFamily
@@ -32,38 +43,48 @@ class Setting:
     mean_leg: float
     detection_radius: float
     duration_s: float
+    metres: float = 1.0
+    seconds: float = 1.0
+    dead_landmarks: int = 0
+    stops: bool = False
+    radio: str | None = None
 
 
-_PAPER_SWARM = {"biobots": 150, "landmarks": 20, "detection_radius": 1.0}
-_UNITS = {**_PAPER_SWARM, "mean_leg": 10.0, "duration_s": 200.0}
+_PAPER = Setting(
+    name="squares/paper-units", family=ArenaFamily.SQUARES, biobots=150, landmarks=20, mean_leg=10.0, detection_radius=1.0, duration_s=200.0
+)
 # The arena of 50 cm with every number of a biobot as printed, in centimetres and tenths of a second: speed is 1 again.
-_50CM = {**_PAPER_SWARM, "mean_leg": 30.0, "duration_s": 2000.0}
+_50CM = replace(_PAPER, name="squares/paper-50cm", mean_leg=30.0, duration_s=2000.0)
+# Forty hissers at 4 cm/s for half an hour in 5 m x 5 m, detection radius 25 cm, in units of 10 cm and 2.5 s.
+_HISSERS = Setting(
+    name="big-square/hisser-field",
+    family=ArenaFamily.BIG_SQUARE,
+    biobots=40,
+    landmarks=10,
+    mean_leg=5.0,
+    detection_radius=2.5,
+    duration_s=720.0,
+)
+_HISSERS_SI = replace(_HISSERS, metres=0.1, seconds=2.5)
+# Two beacons open an encounter, and one lost does not end it: "steady" of studies.sensing.
+_STEADY_BEACONS, _STEADY_GAP = 2, 2.3
 
 SETTINGS: dict[str, Setting] = {
     setting.name: setting
     for setting in (
-        Setting(name="squares/paper-units", family=ArenaFamily.SQUARES, **_UNITS),  # type: ignore[arg-type]  # one dict, two types
-        Setting(name="squares/paper-50cm", family=ArenaFamily.SQUARES, **_50CM),  # type: ignore[arg-type]  # same
-        Setting(name="small-squares/paper-50cm", family=ArenaFamily.SMALL_SQUARES, **_50CM),  # type: ignore[arg-type]  # same
-        # Forty hissers at 4 cm/s for half an hour in 5 m x 5 m, detection radius 25 cm, in units of 10 cm and 2.5 s.
-        Setting(
-            name="big-square/hisser-field",
-            family=ArenaFamily.BIG_SQUARE,
-            biobots=40,
-            landmarks=10,
-            mean_leg=5.0,
-            detection_radius=2.5,
-            duration_s=720.0,
-        ),
-        Setting(
-            name="shapes/long",
-            family=ArenaFamily.SHAPES,
-            biobots=150,
-            landmarks=20,
-            mean_leg=10.0,
-            detection_radius=1.0,
-            duration_s=600.0,
-        ),
+        _PAPER,
+        _50CM,
+        replace(_50CM, name="small-squares/paper-50cm", family=ArenaFamily.SMALL_SQUARES),
+        _HISSERS,
+        replace(_HISSERS_SI, name="big-square/hisser-stops", stops=True),
+        replace(_HISSERS_SI, name="big-square/hisser-lossy", radio="indoor"),
+        replace(_HISSERS_SI, name="big-square/hisser-lossy-stops", radio="indoor", stops=True),
+        replace(_PAPER, name="shapes/long", family=ArenaFamily.SHAPES, duration_s=600.0),
+        replace(_PAPER, name="obstacles/long", family=ArenaFamily.OBSTACLES, duration_s=600.0),
+        replace(_PAPER, name="squares/short", duration_s=120.0),
+        replace(_PAPER, name="squares/dead-landmarks", dead_landmarks=10),
+        replace(_PAPER, name="squares/few", biobots=40, landmarks=10, duration_s=1000.0),
+        replace(_PAPER, name="squares/crowd", biobots=500, landmarks=50, duration_s=100.0),
     )
 }
 
@@ -73,7 +94,7 @@ class Trial:
     """What one run gave.
 
     ``counted`` are the Betti numbers by the rules in force when the run was made. ``loops`` and ``merges`` are the finite intervals
-    of the largest component, shape (m, 2), in diameters, longest first.
+    of the largest component, shape (m, 2), in diameters, longest first; ``n_used`` of its encounters are no outliers.
     """
 
     setting: str
@@ -81,6 +102,7 @@ class Trial:
     true_holes: int
     counted: tuple[int, int]
     n_encounters: int
+    n_used: int
     n_components: int
     merges: FloatArray
     loops: FloatArray
@@ -122,6 +144,7 @@ def run_trial(setting: Setting, seed: int, recipe: Recipe) -> Trial:
         true_holes=true_holes,
         counted=result.betti_numbers,
         n_encounters=result.n_encounters,
+        n_used=part.n_used,
         n_components=result.n_components,
         merges=merges,
         loops=loops,
@@ -129,14 +152,45 @@ def run_trial(setting: Setting, seed: int, recipe: Recipe) -> Trial:
 
 
 def simulate(setting: Setting, seed: int) -> tuple[EncounterTable, tuple[ModeSpell, ...], int]:
-    """Let biobots walk in a random arena; return their encounters, the landmarks' spells and the true number of holes."""
-    arena = build_arena(draw_arena(setting.family, seed=seed))
+    """Let biobots walk in a random arena; return their encounters, the spells of standing, and the true number of holes."""
+    drawn = draw_arena(setting.family, seed=seed)
+    metres, seconds = setting.metres, setting.seconds
+    arena = build_arena(drawn if metres == 1 else affinity.scale(drawn, metres, metres, origin=(0, 0)))
+    detection = setting.detection_radius * metres
+    motion = MotionParameters(speed=metres / seconds, mean_leg=setting.mean_leg * metres)
+    if setting.stops:
+        own = PRESETS["hisser-field"].motion
+        motion = replace(
+            motion,
+            stop_hazard=own.stop_hazard,
+            short_rest_s=own.short_rest_s,
+            long_rest_s=own.long_rest_s,
+            long_rest_share=own.long_rest_share,
+        )
     world = World(
         arena,
-        motion=MotionParameters(speed=1.0, mean_leg=setting.mean_leg),
-        ranges=Ranges(detection=setting.detection_radius, communication=8 * setting.detection_radius),
+        motion=motion,
+        ranges=Ranges(detection=detection, communication=8 * detection),
         ids=range(1, setting.biobots + 1),
         seed=seed,
     )
-    explored = explore(world, landmarks=setting.landmarks, duration_s=setting.duration_s)
-    return explored.table, explored.spells, arena.betti.holes
+    explored = explore(
+        world,
+        landmarks=setting.landmarks,
+        duration_s=setting.duration_s * seconds,
+        dispersion_s=DISPERSION_S * seconds,
+        n_silenced=setting.dead_landmarks,
+    )
+    table = explored.table
+    if setting.radio is not None:
+        config = SensingConfig(
+            seed=seed,
+            detection=detection,
+            communication=8 * detection,
+            min_beacons=_STEADY_BEACONS,
+            gap_periods=_STEADY_GAP,
+            radio=RADIO_PRESETS[setting.radio].config,
+        )
+        sensed = sense(Paths(world.legs(), n=len(world.ids)), ids=world.ids, arena=arena, until_s=world.now_s, config=config)
+        table = tabulate(sensed.encounters, from_s=DISPERSION_S * seconds)
+    return table, explored.spells, arena.betti.holes

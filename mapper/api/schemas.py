@@ -193,7 +193,6 @@ class ComplexView(AnswerModel):
 
     edges: list[list[int]]
     triangles: list[list[int]]
-    edge_lengths: list[float]
 
 
 class MapView(AnswerModel):

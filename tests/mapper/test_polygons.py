@@ -25,6 +25,15 @@ whole = st.integers(-20, 20).map(float)
 corners = st.integers(3, 12).flatmap(lambda n: arrays(np.float64, (n, 2), elements=whole))
 
 
+def _star(radii: list[int]) -> FloatArray:
+    """A simple polygon about the origin, counter-clockwise."""
+    angles = 2 * np.pi * np.arange(len(radii)) / len(radii)
+    return np.asarray(np.column_stack([np.cos(angles), np.sin(angles)]) * np.array(radii)[:, None], dtype=np.float64)
+
+
+stars = st.lists(st.integers(1, 20), min_size=3, max_size=12).map(_star)
+
+
 @given(corners)
 @few
 def test_areas_and_lengths_are_those_of_shapely(places: FloatArray) -> None:
@@ -56,35 +65,29 @@ def test_uncrossing_keeps_the_corners_and_makes_a_simple_polygon(places: FloatAr
     assert boundary_length(found) <= boundary_length(places) + 1e-9
 
 
-@given(st.integers(4, 12), st.randoms(use_true_random=False))
+@given(st.permutations(range(9)))
 @few
-def test_corners_on_a_circle_can_always_be_uncrossed(n: int, random: object) -> None:
-    assert hasattr(random, "shuffle")
-    angles = np.arange(n) * 2 * np.pi / n
-    order = list(range(n))
-    random.shuffle(order)
+def test_corners_on_a_circle_can_always_be_uncrossed(order: list[int]) -> None:
+    angles = np.arange(9) * 2 * np.pi / 9
     circle = np.column_stack([np.cos(angles), np.sin(angles)])
     found = uncross(circle[order])
     assert found is not None
     assert np.isclose(boundary_length(found), boundary_length(circle))
 
 
-@given(corners, arrays(np.float64, (5, 2), elements=st.floats(-21, 21).map(lambda value: round(value, 2) + 0.00371)))
+@given(stars, arrays(np.float64, (5, 2), elements=st.floats(-21, 21).map(lambda value: round(value, 2) + 0.00371)))
 @few
 def test_what_is_inside_is_what_shapely_says(places: FloatArray, asked: FloatArray) -> None:
     polygon = shapely.Polygon(places)
-    assume(polygon.is_valid and polygon.area > 0)
     wanted = shapely.contains_xy(polygon, *asked.T)
     near = shapely.distance(polygon.exterior, shapely.points(asked)) < 1e-9
     assert (contains(places, asked) == wanted)[~near].all()
     assert shapely.intersects(polygon.buffer(1e-9), shapely.Point(inner_place(places)))
 
 
-@given(corners, st.floats(0.01, 1e4))
+@given(stars, st.floats(0.01, 1e4))
 @few
 def test_scaling_gives_the_area_asked_for_about_the_same_centre(places: FloatArray, area: float) -> None:
-    polygon = shapely.Polygon(places)
-    assume(polygon.is_valid and polygon.area > 0)
     scaled = scale_to_area(places, area)
     assert np.isclose(abs(signed_area(scaled)), area)
     assert np.allclose(centroid(scaled), centroid(places))

@@ -148,7 +148,6 @@ def _field(*blocks: tuple[int, int]) -> MapSketch:
             for number, (x, y) in enumerate(blocks, start=1)
         ),
         edges=edges,
-        edge_lengths=np.hypot(*(xy[edges[:, 0]] - xy[edges[:, 1]]).T),
         cover_radii=(1.0,),
         length_unit="m",
     )
@@ -182,11 +181,7 @@ def test_no_route_passes_through_an_obstacle() -> None:
     """Edges are added that lead straight through; none is used."""
     sketch = _field((5, 3))
     begin, end = _ends(sketch, (3.0, 3.0), (7.0, 3.0))
-    through = replace(
-        sketch,
-        edges=np.concatenate([sketch.edges, [[begin.index, end.index]]]),
-        edge_lengths=np.append(sketch.edge_lengths, 4.0),
-    )
+    through = replace(sketch, edges=np.concatenate([sketch.edges, [[begin.index, end.index]]]))
     ends = find_place(begin, sketch), find_place(end, sketch)
     assert [route.length for route in find_routes(through, *ends, classes=2).routes] == [
         route.length for route in find_routes(sketch, *ends, classes=2).routes
@@ -212,7 +207,7 @@ def test_places_that_nothing_joins_are_told() -> None:
     sketch = _field((5, 3))
     is_left = sketch.xy[:, 0] < 5
     cut = is_left[sketch.edges[:, 0]] == is_left[sketch.edges[:, 1]]
-    apart = replace(sketch, edges=sketch.edges[cut], edge_lengths=sketch.edge_lengths[cut])
+    apart = replace(sketch, edges=sketch.edges[cut])
     begin, end = (find_place(place, sketch) for place in _ends(sketch, (0.0, 3.0), (10.0, 3.0)))
     with pytest.raises(RouteError, match="no edges of the complex join them"):
         find_routes(apart, begin, end, classes=2)

@@ -1,11 +1,13 @@
 """Persistence, Betti numbers, embedding and the drawn complex, on point sets of known shape."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapper.betti import judge_intervals, load_trained_rules
+from mapper.betti import judge_intervals, load_trained_rules, share_of_tau
 from mapper.embedding import embed_in_plane
 from mapper.persistence import rips_persistence
 from mapper.skeleton import build_skeleton, choose_epsilon
@@ -97,6 +99,19 @@ def test_scaling_the_metric_changes_no_judgement(lengths: list[float], scale: fl
     for rule in (QUANTILE, RATIO):
         plain, scaled = judge_intervals(loops, rule, diameter=20), judge_intervals(loops * scale, rule, diameter=20 * scale)
         assert np.count_nonzero(plain != scaled) <= (0 if scale == 1 else _at_the_limit(loops, rule))
+
+
+@given(n=st.integers(1, 10**7), more=st.integers(0, 10**7))
+def test_more_encounters_never_make_a_hole_doubtful_that_fewer_made_real(n: int, more: int) -> None:
+    loops = _loops(3.0, 1.0, 0.5, 0.4, 0.3, 0.2, 0.1)
+    rule = dataclasses.replace(QUANTILE, power=0.3)
+    few, many = (judge_intervals(loops, rule, diameter=20, n_encounters=count) for count in (n, n + more))
+    assert not (few & ~many).any()
+
+
+def test_with_a_thousand_encounters_the_power_of_a_rule_changes_nothing_and_beyond_twenty_thousand_no_more() -> None:
+    assert share_of_tau(1000, power=0.4) == 1.0
+    assert share_of_tau(20_000, power=0.5) == share_of_tau(10**9, power=0.5) == pytest.approx(20**-0.5)
 
 
 def _at_the_limit(loops: FloatArray, rule: BettiRule) -> int:

@@ -76,6 +76,14 @@ def test_smoothing_averages_over_each_profile_and_its_neighbours(profiles: Float
     assert np.array_equal(smooth_profiles(profiles, n_neighbours=n_neighbours, kernels=kernels), wanted)
 
 
+@given(grids, st.integers(1, 5), st.integers(0, 3))
+def test_passes_are_means_of_means(profiles: FloatArray, n_neighbours: int, n_passes: int) -> None:
+    wanted = profiles
+    for _ in range(n_passes):
+        wanted = smooth_profiles(wanted, n_neighbours=n_neighbours, kernels=KERNELS[0])
+    assert np.array_equal(smooth_profiles(profiles, n_neighbours=n_neighbours, n_passes=n_passes, kernels=KERNELS[0]), wanted)
+
+
 masks = arrays(np.bool_, st.integers(1, 200))
 
 

@@ -57,6 +57,15 @@ def test_who_moves_half_way_does_not_stand(ring: EncounterTable) -> None:
     assert not {there, here} & set(find_stationary(moved).nodes)
 
 
+def test_whom_one_phone_alone_hears_does_not_stand() -> None:
+    """Its owner goes between two groups of people, who never hear each other: their distances are the same all the time."""
+    group_a, group_b = range(10, 18), range(20, 28)
+    rows = [
+        ((100 * k + n) * NS, (100 * k + n) * NS, 1, device) for k in range(60) for n, device in enumerate(group_a if k % 2 else group_b)
+    ]
+    assert find_stationary(table_of(rows)).nodes == ()
+
+
 def test_few_nodes_prove_nothing() -> None:
     assert find_stationary(table_of([(0, 1, 1, 2), (2, 3, 2, 3)])).nodes == ()
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapper.betti import judge_intervals, load_trained_rules
+from mapper.betti import judge_intervals, load_trained_rules, read_rules
 from mapper.config import RecipeConfig, make_recipe
 from mapper.types import Method, MetricKind, Recipe
 from studies import hole_count, train_classifier
 from studies.cases import Options, Workers, results_of, run_cases
 from studies.hole_count import tally
-from studies.train_classifier import TRAINING_RUNS, share_right, train
+from studies.train_classifier import runs_of, share_right, train
 from studies.trials import SETTINGS, TRIALS, Setting, Trial, TrialCase, run_trial
 
 HISSERS = SETTINGS["big-square/hisser-field"]
@@ -22,15 +22,16 @@ SHORT = dataclasses.replace(HISSERS, name="short", duration_s=120.0)
 RECIPE = make_recipe(RecipeConfig())
 
 
-def _trial(seed: int, *, true_holes: int, real: float, noise: float, counted: int = 0) -> Trial:
+def _trial(seed: int, *, true_holes: int, real: float, noise: float, counted: int = 0, n_used: int = 1000) -> Trial:
     """Make a diagram with ``true_holes`` intervals of length ``real`` among nine of length up to ``noise``."""
     rng = np.random.default_rng(seed)
     lengths = np.sort(np.concatenate([np.full(true_holes, real), noise * rng.uniform(0.2, 1.0, 9)]))[::-1]
     loops = np.column_stack([np.full(len(lengths), 0.1), 0.1 + lengths])
     merges = np.column_stack([np.zeros(9), 0.05 * rng.uniform(0.5, 1.0, 9)])
     return Trial(
-        setting="made", seed=seed, true_holes=true_holes, counted=(1, counted), n_encounters=9, n_components=1, merges=merges, loops=loops
-    )
+        setting="made", seed=seed, true_holes=true_holes, counted=(1, counted), n_encounters=n_used, n_used=n_used, n_components=1,
+        merges=merges, loops=loops,
+    )  # fmt: skip
 
 
 def test_training_separates_what_can_be_separated_at_any_level_of_noise() -> None:
@@ -42,6 +43,17 @@ def test_training_separates_what_can_be_separated_at_any_level_of_noise() -> Non
     assert training.right == {"quiet": 1.0, "noisy": 1.0}
     unseen = [_trial(seed, true_holes=seed % 4, real=0.3, noise=0.03) for seed in range(1000, 1040)]
     assert share_right(unseen, training.rules[1]) == 1.0
+
+
+def test_a_threshold_that_falls_with_the_number_of_encounters_is_found_where_none_fits_all() -> None:
+    """Noise stands out by up to 5 among 1,000 encounters and by 1.5 among 20,000, where a hole stands out by no more than 4."""
+    groups = {
+        "few": [_trial(seed, true_holes=seed % 4, real=0.3, noise=0.05) for seed in range(40)],
+        "many": [_trial(seed, true_holes=seed % 4, real=0.08, noise=0.03, n_used=20_000) for seed in range(40)],
+    }
+    training = train(groups, method=Method.DEFAULT)
+    assert training.right == {"few": 1.0, "many": 1.0}
+    assert train(groups, method=Method.PAPER).rules[1].power == 0.0, "[Dir16] asks the same of all"
 
 
 def test_in_dimension_zero_nothing_finite_seen_in_training_is_real() -> None:
@@ -114,7 +126,16 @@ def test_the_quick_command_writes_rules_for_every_method_and_metric(tmp_path: Pa
 def test_the_shipped_rules_name_the_command_and_runs_they_come_from(method: Method, metric: MetricKind) -> None:
     trained = load_trained_rules(method, metric)
     assert trained.command == "python -m studies.train_classifier"
-    assert all(f"{name} " in trained.trained_on and f"of {runs}" in trained.trained_on for name, runs in TRAINING_RUNS.items())
+    runs_of_setting = runs_of(f"{method}/{metric}", settings=None, quick=False)
+    assert all(f"{name} " in trained.trained_on and f"of {runs}" in trained.trained_on for name, runs in runs_of_setting.items())
+
+
+def test_recipes_that_are_not_trained_keep_their_rules(tmp_path: Path) -> None:
+    out = tmp_path / "classifier.json"
+    flags = ["--quick", "--setting", HISSERS.name, "--out", str(out), "--cache", str(tmp_path / "trials"), "--jobs", "1"]
+    assert train_classifier.main([*flags, "--recipe", "default/landmark_profile"]) == 0
+    shipped, entries = read_rules(), json.loads(out.read_text())
+    assert {name for name in shipped if entries[name] != shipped[name]} == {"default/landmark_profile"}
 
 
 def test_judging_prints_a_line_for_each_setting(capsys: pytest.CaptureFixture[str]) -> None:
