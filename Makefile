@@ -49,6 +49,9 @@ system-packages:  ## install what some tests want: Chromium, compilers and emula
 train: venv  ## train the hole classifier anew on simulated arenas (hours; resumable)
 	$(PY) -m studies.train_classifier $(ARGS)
 
+train-confidence: venv  ## train how sure a map is anew (minutes; resumable), after `make train`
+	$(PY) -m studies.train_confidence --out mapper/data/confidence.json $(ARGS)
+
 sweep: venv  ## simulate and map over a grid of parameters (resumable; ARGS="studies/data/recipes.toml --csv out.csv")
 	$(PY) -m studies.sweep $(ARGS)
 

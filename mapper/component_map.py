@@ -14,7 +14,7 @@ from mapper.hole_sizes import load_size_model
 from mapper.metric import EncounterMetric, Metric, ProfileMetric, distances_to, profile_metric, times_to
 from mapper.outliers import keep_inliers
 from mapper.outlines import outline_holes
-from mapper.persistence import rips_persistence
+from mapper.persistence import Diagram, rips_persistence
 from mapper.placement import Placement, place_in_plane, placed_profiles
 from mapper.placing import place_among
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
@@ -40,13 +40,14 @@ _LEAST_AVERAGED = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Compared:
-    """The metric, which vertices were good enough, which of those may be picked, in how many views they were seen, and where they are."""
+    """The metric, which vertices are good enough, which may be picked, in how many views seen, where they are, and how doubtful [ticks]."""
 
     metric: Metric
     kept: BoolArray
     candidates: BoolArray
     views: Views = ONE_VIEW
     placement: Placement | None = None
+    doubt: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,7 +56,10 @@ class PlacedComponent:
 
     ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2), and
     ``others``, shape (k, 2), are the places of the further vertices asked for. ``n_anchors`` encounters served as
-    references because landmarks were too few.
+    references because landmarks were too few. ``doubt`` [unit of lengths], shape (m,), is half the gap between the bounds of each point's
+    distances to the references; 0 where there are no bounds. ``to_landmarks`` [unit of lengths], shape (m, l), says how far each point is
+    from l places where a landmark stood, and ``landmark_encounters``, shape (l,), names an encounter of each; l is 0 where fewer than three
+    are compared with.
     """
 
     summary: ComponentMap
@@ -64,6 +68,10 @@ class PlacedComponent:
     others: FloatArray
     holes: tuple[Hole, ...]
     skeleton: Skeleton
+    diagram: Diagram
+    doubt: FloatArray
+    to_landmarks: FloatArray
+    landmark_encounters: IntArray
     n_anchors: int
     warnings: tuple[str, ...]
 
@@ -79,6 +87,7 @@ def map_component(
     ticks_per_length: float,
     contact: float,
     begin: Callable[[str], None],
+    is_drawn: bool = True,
 ) -> PlacedComponent:
     """Run the stages on one connected graph.
 
@@ -96,6 +105,8 @@ def map_component(
         How long encounters last, their median [ticks].
     begin
         Told the name of each stage before it begins.
+    is_drawn
+        Draw what is only looked at: outlines of holes and the complex. Without, there are none.
 
     Raises
     ------
@@ -107,6 +118,11 @@ def map_component(
     compared = _compare_and_filter(graph, references, recipe, n_points=n_points, contact=contact, begin=begin)
     begin("subsample")
     sample = subsample_maxmin(compared.metric, compared.candidates, n_points=count_points_of_views(n_points, compared.views))
+    doubt = np.zeros(len(sample.vertices)) if compared.doubt is None else compared.doubt[sample.vertices]
+    to_landmarks, landmark_encounters = np.zeros((len(sample.vertices), 0)), np.zeros(0, dtype=np.int64)
+    if isinstance(compared.metric, ProfileMetric) and n_anchors == 0:
+        to_landmarks = compared.metric.profiles[sample.vertices]
+        landmark_encounters = graph.first_encounter[references].astype(np.int64)
     scale = None
     if compared.placement is not None:
         evidence = gather_evidence(graph, compared.placement, contact=contact, n_views=compared.views.number)
@@ -129,6 +145,7 @@ def map_component(
         vertices = stand_for(sample, compared.metric, compared.candidates, doubt=places.doubt, xy=places.xy)
         coordinates = turn_to_axes(places.xy[vertices] / ticks_per_length)
     merges, loops = diagram.intervals
+    drawn = np.flatnonzero(real[1]) if is_drawn else np.zeros(0, dtype=np.int64)
     size_model = load_size_model(recipe.method, recipe.metric)
     holes = tuple(
         shape_hole(
@@ -138,7 +155,7 @@ def map_component(
             n_used=n_used,
             model=size_model,
         )
-        for (birth, death), outline in zip(loops[real[1]].tolist(), outline_holes(lengths, diagram, np.flatnonzero(real[1])), strict=True)
+        for (birth, death), outline in zip(loops[drawn].tolist(), outline_holes(lengths, diagram, drawn), strict=True)
     )
     if recipe.epsilon_share is None:
         epsilon = choose_epsilon(loops[real[1]], loops[~real[1]], merges[np.isfinite(merges[:, 1]), 1])
@@ -164,7 +181,11 @@ def map_component(
         coordinates=coordinates,
         others=_place_others(compared, others, sample, vertices, coordinates, ticks_per_length=ticks_per_length),
         holes=holes,
-        skeleton=build_skeleton(lengths, epsilon=epsilon),
+        skeleton=build_skeleton(lengths, epsilon=epsilon if is_drawn else -1.0),
+        diagram=diagram,
+        doubt=read_only(doubt / ticks_per_length),
+        to_landmarks=read_only(to_landmarks / ticks_per_length),
+        landmark_encounters=landmark_encounters,
         n_anchors=n_anchors,
         warnings=warnings,
     )
@@ -243,7 +264,7 @@ def _compare_and_filter(
         kernels=graph.kernels,
     )
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
-    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views)
+    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, doubt=bracket.doubt)
 
 
 def _place_and_compare(
@@ -269,7 +290,7 @@ def _place_and_compare(
         kernels=graph.kernels,
     )
     metric = ProfileMetric(graph=graph, profiles=profiles, norm=recipe.profile_norm)
-    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, placement=placement)
+    return _Compared(metric=metric, kept=kept, candidates=candidates, views=views, placement=placement, doubt=bracket.doubt)
 
 
 def _count_views(graph: EncounterGraph, references: IntArray, times: FloatArray) -> Views:

@@ -52,6 +52,7 @@ _DEFAULT = replace(
     n_points=400,
     encounters_per_point=10,
     epsilon_share=None,
+    replicates=2,
 )
 
 # As many as n_points may ask for.
@@ -93,6 +94,8 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         The complex is drawn at this share of the diameter; without it, at the scale that shows the holes best.
     speed_mps
         Walking speed [m/s]: lengths are then metres, else seconds.
+    replicates
+        Parts of the time that are mapped too, to say how sure the map is; 0 says nothing of that, and takes half the time.
     """
 
     method: Method = Method.DEFAULT
@@ -111,6 +114,7 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     n_anchors: Annotated[int, Meta(ge=3, le=1000)] | None = None
     epsilon_share: Annotated[float, Meta(ge=0, le=1)] | None = None
     speed_mps: Annotated[float, Meta(gt=0)] | None = None
+    replicates: Annotated[int, Meta(ge=0, le=10)] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what limits alone let pass: a speed that is no number, and fewer candidates than points to be picked from them."""

@@ -8,10 +8,11 @@ from math import isfinite
 from pathlib import Path
 
 from mapper import feasibility
+from mapper.durations import duration_text
 from mapper.encounter_csv import read_encounters
 from mapper.errors import TooFewEncountersError
 from mapper.feasibility import FURTHEST
-from mapper.forecast import Comparison, Forecast, Outlook, compare_recording, duration_text, forecast
+from mapper.forecast import Comparison, Forecast, Outlook, compare_recording, forecast
 from mapper.plan import Plan, check_obstacle, make_plan
 from mapper.report import JsonObject, JsonValue
 from mapper.resolution import load_law

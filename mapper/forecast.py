@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from mapper import feasibility
+from mapper.durations import duration_text
 from mapper.plan import MAX_BIOBOTS, Plan
 from mapper.resolution import (
     EVEN_CHANCE,
@@ -164,16 +165,6 @@ def compare_recording(plan: Plan, law: Law, *, encounters: int, duration_s: floa
         most=outlook.most_encounters,
         radius=radius,
     )
-
-
-def duration_text(seconds: float | None) -> str:
-    """Tell a duration in a fitting unit; None is never."""
-    if seconds is None:
-        return "never"
-    for unit_s, name in ((86_400.0, "d"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 1.5 * unit_s:
-            return f"{seconds / unit_s:.3g} {name}"
-    return f"{seconds:.3g} s"
 
 
 def _look(plan: Plan, law: Law, *, obstacle: float) -> Outlook:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mapper.types import MapResult
 
-_ARRAYS = {"<f8": np.float64, "<i8": np.int64}
+_ARRAYS = {"<f8": np.float64, "<i8": np.int64, "|b1": np.bool_}
 
 
 def encode_map(result: MapResult) -> bytes:

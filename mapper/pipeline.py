@@ -9,6 +9,7 @@ from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NS_PER_S
 from mapper.betti import load_trained_rules
 from mapper.component_map import MIN_LANDMARKS, PlacedComponent, map_component
+from mapper.confidence import Evidence, MapAgain, assess_map, gather_evidence
 from mapper.encounter_graph import Components, build_components
 from mapper.errors import TooFewEncountersError
 from mapper.kernels import Kernels
@@ -72,9 +73,42 @@ def compute_map(
     EngineMissingError
         The persistence engine is not installed.
     """
+    report = progress or (lambda _stage, _share: None)
+    result, placed, map_again = _map_components(table, spells, recipe, report=report, kernels=kernels, also_place=also_place)
+    report("confidence", 1.0 - 1.0 / ((len(_STAGES) + 1) * len(placed)))
+    result = assess_map(result, table, spells, placed, map_again=map_again)
+    report("done", 1.0)
+    return result
+
+
+def compute_evidence(
+    table: EncounterTable, spells: Sequence[ModeSpell], recipe: Recipe, *, kernels: Kernels | None = None
+) -> tuple[MapResult, tuple[Evidence, ...]]:
+    """Make the map without saying how sure it is, and what would tell that: the models are trained on it.
+
+    Raises
+    ------
+    TooFewEncountersError
+        Fewer than two encounters.
+    EngineMissingError
+        The persistence engine is not installed.
+    """
+    result, placed, map_again = _map_components(table, spells, recipe, report=lambda _stage, _share: None, kernels=kernels, also_place=None)
+    return result, gather_evidence(result, table, spells, placed, map_again=map_again)
+
+
+def _map_components(
+    table: EncounterTable,
+    spells: Sequence[ModeSpell],
+    recipe: Recipe,
+    *,
+    report: Progress,
+    kernels: Kernels | None,
+    also_place: IntArray | None,
+) -> tuple[MapResult, list[PlacedComponent], MapAgain]:
+    """Map the components; return the map, its parts, and what maps the largest component of some of the encounters in the same way."""
     if len(table) < MIN_ENCOUNTERS:
         raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS)
-    report = progress or (lambda _stage, _share: None)
     report("graph", 0.0)
     rules = recipe.betti_rules or load_trained_rules(recipe.method, recipe.metric).rules
     parts = build_components(table, spells, moving_time=recipe.moving_time, kernels=kernels)
@@ -88,7 +122,7 @@ def compute_map(
     for index, n_points in enumerate(shares):
 
         def begin(stage: str, done: int = index) -> None:
-            report(stage, (done + _STAGES.index(stage) / len(_STAGES)) / len(shares))
+            report(stage, (done + _STAGES.index(stage) / (len(_STAGES) + 1)) / len(shares))
 
         placed.append(
             map_component(
@@ -103,12 +137,30 @@ def compute_map(
                 begin=begin,
             )
         )
-    report("done", 1.0)
     warnings = [*_warn_of_span(table), *_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]
     warnings += _warn_of_anchors(placed)
     warnings += [warning for part in placed for warning in part.warnings]
     result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(parts), warnings=warnings)
-    return _add_others(result, table, placed, rows=rows, component=component, stands=stands)
+
+    def map_again(some: EncounterTable) -> PlacedComponent | None:
+        if len(some) < MIN_ENCOUNTERS:
+            return None
+        part = build_components(some, spells, moving_time=recipe.moving_time, kernels=kernels)[0]
+        n_points = count_points(len(some), recipe)
+        return map_component(
+            part,
+            recipe,
+            rules,
+            index=0,
+            n_points=n_points,
+            others=np.zeros(0, dtype=np.int64),
+            ticks_per_length=ticks_per_length,
+            contact=contact,
+            begin=lambda _stage: None,
+            is_drawn=False,
+        )
+
+    return _add_others(result, table, placed, rows=rows, component=component, stands=stands), placed, map_again
 
 
 def count_points(n_encounters: int, recipe: Recipe) -> int:

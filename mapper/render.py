@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from mapper.pins import Pinned
-    from mapper.types import MapResult, Recipe
+    from mapper.types import FloatArray, Hole, MapResult, Recipe
 
 ImageFormat = Literal["svg", "png"]
 
@@ -24,6 +24,8 @@ ImageFormat = Literal["svg", "png"]
 _TRIANGLE, _EDGE, _HOLE, _NOISE, _LANDMARK, _PIN = "#56b4e9", "#999999", "#d55e00", "#0072b2", "#000000", "#cc79a7"
 # More triangles than this hide each other and only make the file large.
 _MAX_DRAWN_TRIANGLES = 20_000
+# Of a loop that is not called a hole.
+_DRAWN_PROBABILITY = 0.1
 _CAPTION_NAMES, _CAPTION_NAME_LENGTH = 10, 16
 
 
@@ -121,16 +123,14 @@ def _draw_map(axes: Axes, result: MapResult, *, part: str | None, pinned: Pinned
     step = max(1, -(-len(result.triangles) // _MAX_DRAWN_TRIANGLES))
     axes.add_collection(PolyCollection(list(xy[result.triangles[::step]]), facecolors=_TRIANGLE, edgecolors="none", alpha=0.12, zorder=1))
     axes.add_collection(LineCollection(list(xy[result.edges]), colors=_EDGE, linewidths=0.3, alpha=0.6, zorder=2))
-    time_s = (points.t_ns - points.t_ns.min()) / 1e9
-    marks = axes.scatter(points.x, points.y, c=time_s, s=14, cmap="viridis", zorder=3)
-    axes.figure.colorbar(marks, ax=axes, label="time since the first encounter drawn [s]", shrink=0.8)
+    _draw_points(axes, result, time_s=(points.t_ns - points.t_ns.min()) / 1e9)
     for number, hole in enumerate(result.holes, start=1):
-        outline = xy[np.append(hole.outline, hole.outline[0])]
-        axes.plot(*outline.T, color=_HOLE, linewidth=1, linestyle=":", zorder=4)
-        x, y = (outline[:-1].mean(axis=0) if hole.centre is None else hole.centre).tolist()
-        if hole.centre is not None:
-            axes.fill(*hole.outline_xy.T, facecolor="white", edgecolor=_HOLE, linewidth=2, zorder=4)
-        axes.annotate(str(number), (x, y), color=_HOLE, weight="bold", ha="center", va="center", zorder=5)
+        _draw_hole(axes, xy, hole, number=number)
+    for hole in result.possible_holes:
+        if (hole.probability or 0.0) >= _DRAWN_PROBABILITY:
+            outline = xy[np.append(hole.outline, hole.outline[0])]
+            axes.plot(*outline.T, color=_HOLE, linewidth=1.2, linestyle="--", zorder=4)
+            _name(axes, hole, "?", outline[:-1].mean(axis=0))
     if result.landmarks:
         places = np.array([(landmark.x, landmark.y) for landmark in result.landmarks])
         axes.scatter(
@@ -156,8 +156,10 @@ def _draw_map(axes: Axes, result: MapResult, *, part: str | None, pinned: Pinned
     if result.landmarks or pinned is not None:
         axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), ncols=2, fontsize="small", frameon=False)
     b0, b1 = result.betti_numbers
-    unusual = ", ".join(filter(None, [part, _unusual_method(result.recipe)]))
-    axes.set_title(f"map: b0 = {b0}, b1 = {b1}, {result.n_encounters} encounters" + (f"\n{unusual}" if unusual else ""))
+    sure = "" if result.hole_count is None else f" ({result.hole_count.probability:.0%} sure)"
+    doubt = "not enough data yet" if result.data is not None and not result.data.is_enough else None
+    unusual = ", ".join(filter(None, [doubt, part, _unusual_method(result.recipe)]))
+    axes.set_title(f"map: b0 = {b0}, b1 = {b1}{sure}, {result.n_encounters} encounters" + (f"\n{unusual}" if unusual else ""))
     axes.set_aspect("equal", adjustable="datalim")
     if pinned is None:
         axes.set_xlabel(f"x [{result.length_unit}]")
@@ -167,6 +169,36 @@ def _draw_map(axes: Axes, result: MapResult, *, part: str | None, pinned: Pinned
         axes.set_xlabel("metres east of the pins' middle" if is_geographic else "x [m], operator's frame")
         axes.set_ylabel("metres north of the pins' middle" if is_geographic else "y [m], operator's frame")
     axes.autoscale_view()
+
+
+def _draw_points(axes: Axes, result: MapResult, *, time_s: FloatArray) -> None:
+    """Draw well-seen points full and the others hollow, in the colour of their time."""
+    from matplotlib.cm import ScalarMappable  # noqa: PLC0415  # see render_map
+    from matplotlib.colors import Normalize  # noqa: PLC0415  # same
+
+    points = result.points
+    colours = ScalarMappable(norm=Normalize(0.0, max(float(time_s.max()), 1e-9)), cmap="viridis")
+    is_full = np.ones(len(points), dtype=bool) if points.is_well_seen is None else points.is_well_seen
+    edges: FloatArray = np.asarray(colours.to_rgba(time_s))
+    axes.scatter(points.x[is_full], points.y[is_full], s=14, c=edges[is_full], edgecolors="none", zorder=3)
+    rest = points.x[~is_full], points.y[~is_full]
+    axes.scatter(*rest, s=10, facecolors="white", edgecolors=edges[~is_full].tolist(), linewidths=0.8, zorder=3)
+    label = "time since the first encounter drawn [s]" if is_full.all() else "time since the first drawn [s]; hollow: badly seen"
+    axes.figure.colorbar(colours, ax=axes, label=label, shrink=0.8)
+
+
+def _draw_hole(axes: Axes, xy: FloatArray, hole: Hole, *, number: int) -> None:
+    outline = xy[np.append(hole.outline, hole.outline[0])]
+    axes.plot(*outline.T, color=_HOLE, linewidth=1, linestyle=":", zorder=4)
+    if hole.centre is not None:
+        axes.fill(*hole.outline_xy.T, facecolor="white", edgecolor=_HOLE, linewidth=2, zorder=4)
+    _name(axes, hole, str(number), outline[:-1].mean(axis=0) if hole.centre is None else hole.centre)
+
+
+def _name(axes: Axes, hole: Hole, name: str, place: FloatArray) -> None:
+    """Write the name of a hole, and under it how likely it is there."""
+    sure = "" if hole.probability is None else f"\n{hole.probability:.0%}"
+    axes.annotate(name + sure, (float(place[0]), float(place[1])), color=_HOLE, weight="bold", ha="center", va="center", zorder=5)
 
 
 def _unusual_method(recipe: Recipe) -> str | None:

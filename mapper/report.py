@@ -1,16 +1,31 @@
 """A finished map as a JSON object for programs, and as a summary for a person. Nothing in the JSON is nan or infinite."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isfinite
 
+from mapper.confidence import describe_count, sure_text
 from mapper.record_columns import to_unsigned
-from mapper.types import BettiRule, ComponentMap, FloatArray, Hole, Landmark, MapResult, Recipe, Standing, StandingSource
+from mapper.types import (
+    BettiRule,
+    ComponentMap,
+    DataVerdict,
+    FloatArray,
+    Hole,
+    HoleCount,
+    Landmark,
+    MapResult,
+    Recipe,
+    Standing,
+    StandingSource,
+)
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 JsonObject = dict[str, JsonValue]
 
 _NS_PER_S = 1e9
 _LISTED_INTERVALS = 5
+_LEAST_TOLD = 1e-4  # of the probabilities of numbers of holes
+_LISTED_PROBABILITY = 0.1  # of a possible hole, for a person
 _LISTED_NODES = 12
 
 
@@ -21,13 +36,15 @@ def to_json_object(result: MapResult) -> JsonObject:
     -------
     JsonObject
         ``betti_numbers`` [b0, b1]; ``intervals`` of all components by dimension, death null where it never comes; ``points`` with map
-        coordinates, time [s] and biobots; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth, death,
-        component, and ``confidence`` null until it is known; of each also ``outline_xy``, the polygon of what stands in it (closed,
-        counter-clockwise), ``centre`` inside it, ``area``, ``perimeter`` and their standard errors, null where they are not known;
+        coordinates, time [s], biobots and ``is_well_seen``; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth,
+        death, component and ``probability``; of each also ``outline_xy``, the polygon of what stands in it (closed, counter-clockwise),
+        ``centre`` inside it, ``area``, ``perimeter`` and their standard errors, null where they are not known; ``possible_holes`` of the
+        same form; ``hole_count`` (value, its probability, and that of each number); ``data`` (is_enough, reasons, remedies);
         ``landmarks`` with their places and times; ``complex`` (edges and triangles as indices of points);
         ``components`` (those mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``,
         ``n_used``, ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source,
         reason; null but for a file) and ``assumptions`` (name, holds, text). Ids are numbers, or the names that the log has for them.
+        What tells how sure the map is is null where nobody knows.
     """
     points = result.points
     names = result.node_names
@@ -36,7 +53,8 @@ def to_json_object(result: MapResult) -> JsonObject:
         return names.get(number, number)
 
     xy = [[float(x), float(y)] for x, y in zip(points.x, points.y, strict=True)]
-    rows = zip(xy, points.t_ns.tolist(), points.id1.tolist(), points.id2.tolist(), points.component.tolist(), strict=True)
+    is_seen = [None] * len(points) if points.is_well_seen is None else points.is_well_seen.tolist()
+    rows = zip(xy, points.t_ns.tolist(), points.id1.tolist(), points.id2.tolist(), points.component.tolist(), is_seen, strict=True)
     return {
         "betti_numbers": list(result.betti_numbers),
         "intervals": {
@@ -44,21 +62,21 @@ def to_json_object(result: MapResult) -> JsonObject:
             for dimension in (0, 1)
         },
         "points": [
-            {"x": place[0], "y": place[1], "t": t_ns / _NS_PER_S, "id1": name(id1), "id2": name(id2), "component": component}
-            for place, t_ns, id1, id2, component in rows
-        ],
-        "holes": [
             {
-                "outline": [list(xy[point]) for point in hole.outline.tolist()],
-                "points": hole.outline.tolist(),
-                "birth": hole.birth,
-                "death": hole.death,
-                "component": hole.component,
-                "confidence": None,
-                **_shape(hole),
+                "x": place[0],
+                "y": place[1],
+                "t": t_ns / _NS_PER_S,
+                "id1": name(id1),
+                "id2": name(id2),
+                "component": component,
+                "is_well_seen": seen,
             }
-            for hole in result.holes
+            for place, t_ns, id1, id2, component, seen in rows
         ],
+        "holes": [_hole(hole, xy) for hole in result.holes],
+        "possible_holes": [_hole(hole, xy) for hole in result.possible_holes],
+        "hole_count": _hole_count(result.hole_count),
+        "data": _verdict(result.data),
         "landmarks": [_landmark(landmark, name(to_unsigned(landmark.node))) for landmark in result.landmarks],
         "complex": {"edges": result.edges.tolist(), "triangles": result.triangles.tolist()},
         "components": [_component(part, index) for index, part in enumerate(result.components)],
@@ -79,8 +97,11 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
     b0, b1 = result.betti_numbers
     unit = result.length_unit
     recipe = result.recipe
+    sure = "" if result.hole_count is None else f" ({describe_count(result.hole_count)})"
+    doubt = "" if result.data is None or result.data.is_enough else ": NOT ENOUGH DATA YET"
     lines = [
-        f"{_counted(b0, 'component')}, {_counted(b1, 'hole')}",
+        f"{_counted(b0, 'component')}, {_counted(b1, 'hole')}{sure}{doubt}",
+        *_doubts(result.data),
         f"encounters     {result.n_encounters}, of which {result.n_used} used; {len(result.points)} points drawn",
         *([] if part is None else [f"part           {part}"]),
         f"method         {recipe.method}, metric {recipe.metric}",
@@ -88,11 +109,18 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
         f"lost spectrum  {result.lost_spectrum:.1%} of the shape does not fit the plane",
     ]
     lines += [
-        f"hole {number:<9} birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}{_size(hole, unit)}"
+        f"hole {number:<9} {_sure(hole)}birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}"
+        f"{_size(hole, unit)}"
         for number, hole in enumerate(result.holes, start=1)
     ]
     lines += [
+        f"possible hole  {_sure(hole)}birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}"
+        for hole in result.possible_holes
+        if (hole.probability or 0.0) >= _LISTED_PROBABILITY
+    ]
+    lines += [
         f"component {index:<4} encounters {part.n_encounters}, landmarks {part.n_landmarks}, holes {part.betti_numbers[1]}"
+        + ("" if part.stability_band is None else f", loops within {part.stability_band:.3g} {unit}")
         for index, part in enumerate(result.components)
     ]
     longest = ", ".join(
@@ -117,6 +145,45 @@ def _named(standing: Standing, names: Mapping[int, str]) -> str:
     return ", ".join(listed) + (f" and {len(standing.nodes) - _LISTED_NODES} more" if len(standing.nodes) > _LISTED_NODES else "")
 
 
+def _doubts(data: DataVerdict | None) -> list[str]:
+    """Say why the data are not enough, and what would help."""
+    if data is None or data.is_enough:
+        return []
+    return [
+        *(f"  because {reason}" for reason in data.reasons),
+        *(f"  it would help to {remedy}" for remedy in data.remedies),
+    ]
+
+
+def _sure(hole: Hole) -> str:
+    return "" if hole.probability is None else f"{sure_text(hole.probability)}, "
+
+
+def _hole(hole: Hole, xy: Sequence[list[float]]) -> JsonObject:
+    return {
+        "outline": [list(xy[point]) for point in hole.outline.tolist()],
+        "points": hole.outline.tolist(),
+        "birth": hole.birth,
+        "death": hole.death,
+        "component": hole.component,
+        "probability": hole.probability,
+        **_shape(hole),
+    }
+
+
+def _hole_count(count: HoleCount | None) -> JsonObject | None:
+    if count is None:
+        return None
+    probabilities: JsonObject = {str(number): chance for number, chance in enumerate(count.probabilities) if chance >= _LEAST_TOLD}
+    return {"value": count.value, "probability": count.probability, "probabilities": probabilities}
+
+
+def _verdict(data: DataVerdict | None) -> JsonObject | None:
+    if data is None:
+        return None
+    return {"is_enough": data.is_enough, "reasons": list(data.reasons), "remedies": list(data.remedies)}
+
+
 def _component(part: ComponentMap, index: int) -> JsonObject:
     return {
         "component": index,
@@ -131,6 +198,7 @@ def _component(part: ComponentMap, index: int) -> JsonObject:
         "epsilon": part.epsilon,
         "lost_spectrum": part.lost_spectrum,
         "scale": None if part.scale is None else {"factor": part.scale.factor, "error": part.scale.error},
+        "stability_band": part.stability_band,
     }
 
 
@@ -188,6 +256,7 @@ def _parameters(recipe: Recipe, *, length_unit: str) -> JsonObject:
         "epsilon_share": recipe.epsilon_share,
         "betti_rules": {str(dimension): _rule(rule) for dimension, rule in enumerate(rules)},
         "speed_mps": recipe.speed_mps,
+        "replicates": recipe.replicates,
         "length_unit": length_unit,
     }
 

@@ -183,7 +183,7 @@ def _stretch(result: MapResult, places: FloatArray) -> float | None:
 
 @cache
 def _recipe() -> Recipe:
-    return make_recipe(RecipeConfig())
+    return make_recipe(RecipeConfig(replicates=0))
 
 
 def _draw_log(rng: np.random.Generator, span: tuple[float, float]) -> float:

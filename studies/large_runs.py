@@ -16,6 +16,7 @@ import numpy as np
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.landmarks import select_landmarks
 from firmware_protocol.units import NS_PER_S, NodeId
+from mapper.bottleneck import bottleneck_distance
 from mapper.config import RecipeConfig, make_recipe
 from mapper.pipeline import compute_map
 from mapper.types import EncounterTable, IntArray, MapResult, ModeSpell
@@ -26,7 +27,6 @@ from simulator.config import Ranges
 from simulator.motion import MotionParameters
 from simulator.world import World
 from studies.arenas import ArenaFamily, draw_arena
-from studies.bottleneck import bottleneck_distance
 from studies.cases import PackageFile, Study, results_of, run_cases
 from studies.cases.flags import add_flags, read_flags
 from studies.errors import StudyError
@@ -128,7 +128,7 @@ def judge_map(run: LongRun, case: LargeCase) -> Outcome:
     """Map a run that has been simulated, and compare the map with the truth."""
     recipe = replace(make_recipe(RecipeConfig()), max_candidates=case.limit)
     began = time.perf_counter()
-    result = compute_map(run.table, run.spells, recipe)
+    result = compute_map(run.table, run.spells, replace(recipe, replicates=0))
     seconds = time.perf_counter() - began
     exact = geodesic_distances(run.world.arena, _true_places(run, result))
     part = result.components[0]

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
+from mapper.bottleneck import bottleneck_distance
 from mapper.embedding import embed_in_plane
 from mapper.errors import MapError
 from mapper.types import MapResult
 from simulator.errors import SimulationError
-from studies.bottleneck import bottleneck_distance
 from studies.comparison import fit_similarity
 from studies.errors import MapFileError, StudyError
 from studies.located_map import LocatedMap, find_map

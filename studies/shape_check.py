@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from firmware_protocol.units import NS_PER_S
+from mapper.bottleneck import bottleneck_distance
 from mapper.config import RecipeConfig, make_recipe
 from mapper.embedding import embed_in_plane
 from mapper.pipeline import compute_map
@@ -23,7 +24,6 @@ from simulator.arenas.geodesics import geodesic_distances
 from simulator.arenas.scenarios import find_scenario
 from simulator.presets import find_preset
 from simulator.world import World
-from studies.bottleneck import bottleneck_distance
 from studies.cases import PackageFile, Study, results_of, run_cases
 from studies.cases.flags import add_flags, read_flags
 from studies.comparison import fit_similarity
@@ -90,7 +90,9 @@ def compute_shape(case: ShapeCase) -> Shape:
     arena = find_scenario(case.scenario).build(preset.side)
     world = World(arena, motion=preset.motion, ranges=preset.ranges, ids=range(1, preset.biobots + 1), seed=case.seed)
     explored = explore(world, landmarks=preset.landmarks, duration_s=preset.duration_s)
-    result = compute_map(explored.table, explored.spells, make_recipe(RecipeConfig(method=case.method, speed_mps=preset.motion.speed)))
+    result = compute_map(
+        explored.table, explored.spells, make_recipe(RecipeConfig(method=case.method, speed_mps=preset.motion.speed, replicates=0))
+    )
     places = true_places(world, result)
     exact = geodesic_distances(arena, places)
     part = result.components[0]

@@ -7,7 +7,7 @@ from shapely import affinity
 
 from mapper.pipeline import compute_map
 from mapper.types import EncounterTable, FloatArray, ModeSpell, Recipe
-from simulator.arenas.arena import build_arena
+from simulator.arenas.arena import Arena, build_arena
 from simulator.config import Ranges
 from simulator.motion import MotionParameters
 from simulator.presets import PRESETS
@@ -23,7 +23,7 @@ from studies.exploration import DISPERSION_S, explore, tabulate
 HELD_OUT_SEED = 10_000
 
 # Of a recipe: the rule that judges a trial afterwards, and the scale at which it is drawn.
-_WITHOUT_EFFECT = {"betti_rules", "epsilon_share", "speed_mps"}
+_WITHOUT_EFFECT = {"betti_rules", "epsilon_share", "speed_mps", "replicates"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +135,7 @@ TRIALS = Study(name="trials", compute=compute_trial, result_type=Trial, key=_key
 def run_trial(setting: Setting, seed: int, recipe: Recipe) -> Trial:
     """Simulate and map one run."""
     table, spells, true_holes = simulate(setting, seed)
-    result = compute_map(table, spells, recipe)
+    result = compute_map(table, spells, replace(recipe, replicates=0))
     part = result.components[0]
     merges, loops = (intervals[np.isfinite(intervals[:, 1])] / (part.diameter or 1.0) for intervals in part.intervals)
     return Trial(
@@ -153,6 +153,22 @@ def run_trial(setting: Setting, seed: int, recipe: Recipe) -> Trial:
 
 def simulate(setting: Setting, seed: int) -> tuple[EncounterTable, tuple[ModeSpell, ...], int]:
     """Let biobots walk in a random arena; return their encounters, the spells of standing, and the true number of holes."""
+    run = make_run(setting, seed)
+    return run.table, run.spells, run.arena.betti.holes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Run:
+    """What a base station would know of a run, the arena, and the world at the end, which knows where everybody was."""
+
+    table: EncounterTable
+    spells: tuple[ModeSpell, ...]
+    arena: Arena
+    world: World
+
+
+def make_run(setting: Setting, seed: int) -> Run:
+    """Let biobots walk in a random arena."""
     drawn = draw_arena(setting.family, seed=seed)
     metres, seconds = setting.metres, setting.seconds
     arena = build_arena(drawn if metres == 1 else affinity.scale(drawn, metres, metres, origin=(0, 0)))
@@ -193,4 +209,4 @@ def simulate(setting: Setting, seed: int) -> tuple[EncounterTable, tuple[ModeSpe
         )
         sensed = sense(Paths(world.legs(), n=len(world.ids)), ids=world.ids, arena=arena, until_s=world.now_s, config=config)
         table = tabulate(sensed.encounters, from_s=DISPERSION_S * seconds)
-    return table, explored.spells, arena.betti.holes
+    return Run(table=table, spells=explored.spells, arena=arena, world=world)

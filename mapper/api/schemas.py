@@ -158,23 +158,42 @@ class PointItem(AnswerModel):
     id1: int
     id2: int
     component: int
+    is_well_seen: bool | None = Field(description="Its distances are most likely right; null: not known")
 
 
 class HoleItem(AnswerModel):
-    """A hole called real; null where nothing is known. Errors are standard errors."""
+    """A hole called real, or one that may be there; null where nothing is known. Errors are standard errors."""
 
     outline: list[Place]
     points: list[int]
     birth: float
     death: float
     component: int
-    confidence: float | None
+    probability: float | None = Field(
+        description="That it goes around an obstacle, and no longer interval around the same; null: not known"
+    )
     outline_xy: list[Place] = Field(description="Polygon of what stands in it: closed, counter-clockwise; empty: it cannot be drawn")
     centre: Place | None
     area: float | None
     area_error: float | None
     perimeter: float | None
     perimeter_error: float | None
+
+
+class HoleCountItem(AnswerModel):
+    """How many holes the map shows, and how sure that is."""
+
+    value: int
+    probability: float = Field(description="That there are as many in truth")
+    probabilities: dict[str, float] = Field(description="Of each number of holes; those below 1 in 10,000 are left out")
+
+
+class DataItem(AnswerModel):
+    """Whether the encounters are enough for what the map says."""
+
+    is_enough: bool
+    reasons: list[str] = Field(description="Why they are not")
+    remedies: list[str] = Field(description="What would help")
 
 
 class LandmarkItem(AnswerModel):
@@ -206,6 +225,9 @@ class MapView(AnswerModel):
     intervals: dict[str, list[Interval]]
     points: list[PointItem]
     holes: list[HoleItem]
+    possible_holes: list[HoleItem] = Field(description="Loops that are not called holes and may be, the likeliest first")
+    hole_count: HoleCountItem | None = Field(description="null: not known")
+    data: DataItem | None = Field(description="null: not known")
     landmarks: list[LandmarkItem]
     complex: ComplexView
     components: list[dict[str, object]]

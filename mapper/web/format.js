@@ -16,6 +16,11 @@ export function length(value, unit) {
   return `${Number(value.toPrecision(3))} ${unit}`;
 }
 
+/** A probability; nothing is told of as certain. */
+export function percent(share) {
+  return share > 0.99 ? "over 99 %" : share < 0.01 ? "under 1 %" : `${Math.round(100 * share)} %`;
+}
+
 export function count(value) {
   return value.toLocaleString("en");
 }

@@ -2,7 +2,7 @@
 
 import { DiagramView } from "./diagram_view.js";
 import { EmergencyStop } from "./emergency_stop.js";
-import { age, clock, count, length } from "./format.js";
+import { age, clock, count, length, percent } from "./format.js";
 import { MapView } from "./map_view.js";
 import { makeFetcher, watch } from "./net.js";
 import { Roster } from "./roster.js";
@@ -59,7 +59,8 @@ const refreshMap = paced(async () => {
   ["component", "hole"].forEach((word, dimension) => {
     const number = map.betti_numbers[dimension];
     element(`${word}s`).textContent = count(number);
-    element(`${word}s-word`).textContent = number === 1 ? word : `${word}s`;
+    const sure = word === "hole" && map.hole_count ? ` (${percent(map.hole_count.probability)} sure)` : "";
+    element(`${word}s-word`).textContent = (number === 1 ? word : `${word}s`) + sure;
   });
   element("encounters").textContent = count(map.n_encounters);
   const cause = map.window_s === null ? "from before the landmarks stood" : "from before the landmarks stood or the window began";
@@ -109,7 +110,12 @@ function limits() {
 function showNotices(health) {
   // Before the first map, what it waits for stands in its place.
   const standstill = health.map_version !== null && health.waiting ? [health.waiting] : [];
-  element("notices").textContent = [...health.faults, ...standstill, ...limits(), ...(map?.warnings ?? [])].join(" · ");
+  element("notices").textContent = [...health.faults, ...standstill, ...limits(), ...lacks(), ...(map?.warnings ?? [])].join(" · ");
+}
+
+function lacks() {
+  if (!map?.data || map.data.is_enough) return [];
+  return [`not enough data yet: ${map.data.reasons.join("; ")}`, `it would help to ${map.data.remedies.join("; ")}`];
 }
 
 function showLink() {

@@ -1,10 +1,13 @@
 // The map on a canvas: complex, points, outlines of holes, landmarks. The complex is drawn once for a map and a view.
 
-import { clock, length, palette, roundBelow } from "./format.js";
+import { clock, length, palette, percent, roundBelow } from "./format.js";
 
 const MAX_TRIANGLES = 20000;
 const BATCH = 50;
 const PADDING = 34;
+const LEAST_DRAWN = 0.1;
+
+const middle = (ring) => [0, 1].map((axis) => ring.reduce((sum, p) => sum + p[axis], 0) / ring.length);
 
 export class MapView {
   constructor(canvas, tip) {
@@ -109,7 +112,10 @@ export class MapView {
     this.colours = palette("complex", "edge", "hole", "landmark", "early", "late", "card", "ink", "soft");
     if (this.shown.complex) this.drawComplex(context, ratio, width, height);
     if (this.shown.points) this.drawPoints(context);
-    if (this.shown.holes) this.map.holes.forEach((hole, index) => this.drawHole(context, hole, index));
+    if (this.shown.holes) {
+      (this.map.possible_holes ?? []).filter((hole) => hole.probability >= LEAST_DRAWN).forEach((hole) => this.drawPossibleHole(context, hole));
+      this.map.holes.forEach((hole, index) => this.drawHole(context, hole, index));
+    }
     if (this.shown.landmarks) this.drawLandmarks(context);
     this.drawScale(context, width, height);
   }
@@ -163,9 +169,26 @@ export class MapView {
       context.fillStyle = `color-mix(in oklab, ${late} ${Math.round(100 * share)}%, ${early})`;
       context.beginPath();
       context.arc(x, y, 3.6, 0, 2 * Math.PI);
+      context.globalAlpha = this.map.points[index].is_well_seen === false ? 0.4 : 1;
       context.fill();
       context.stroke();
     });
+    context.globalAlpha = 1;
+  }
+
+  /** A loop that is not called a hole and may be one: dashed. */
+  drawPossibleHole(context, hole) {
+    const ring = hole.points.map((point) => this.places[point]);
+    context.beginPath();
+    ring.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+    context.closePath();
+    context.setLineDash([6, 5]);
+    context.strokeStyle = this.colours.hole;
+    context.lineWidth = 1.6;
+    context.stroke();
+    context.setLineDash([]);
+    context.font = "600 12px system-ui, sans-serif";
+    this.drawLabel(context, `? ${percent(hole.probability)}`, middle(ring), this.colours.hole);
   }
 
   drawHole(context, hole, index) {
@@ -182,9 +205,12 @@ export class MapView {
     context.strokeStyle = this.colours.hole;
     context.lineWidth = isChosen ? 5 : 3;
     context.stroke();
-    const centre = [0, 1].map((axis) => ring.reduce((sum, p) => sum + p[axis], 0) / ring.length);
+    const centre = middle(ring);
     context.font = "700 15px system-ui, sans-serif";
     this.drawLabel(context, `${index + 1}`, centre, this.colours.hole);
+    if (hole.probability == null) return;
+    context.font = "600 12px system-ui, sans-serif";
+    this.drawLabel(context, percent(hole.probability), [centre[0], centre[1] + 16], this.colours.hole);
   }
 
   drawLandmarks(context) {

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from mapper.bottleneck import bottleneck_distance
 from mapper.encounter_graph import EncounterGraph, build_components
 from mapper.metric import EncounterMetric, times_to
 from mapper.outliers import keep_inliers
@@ -15,7 +16,6 @@ from mapper.subsampling import subsample_maxmin
 from mapper.types import TICKS_PER_S
 from simulator.arenas.arena import Arena
 from simulator.arenas.geodesics import geodesic_distances
-from studies.bottleneck import bottleneck_distance
 from studies.paper.swarm_runs import Place, SwarmRun
 from studies.samples import sample_arena
 from studies.truth import Floats, Indices, Intervals, diagram_of

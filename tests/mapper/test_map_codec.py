@@ -34,3 +34,21 @@ def test_a_map_comes_back_whole_but_for_the_distances() -> None:
 def test_bytes_that_are_no_map_are_refused(data: bytes) -> None:
     with pytest.raises(msgspec.DecodeError):
         decode_map(data)
+
+
+def test_a_map_of_a_version_that_did_not_say_how_sure_it_was_is_read() -> None:
+    rows, spells = walk_track(n_landmarks=12, n_walkers=12, duration_s=60, seed=4, is_ring=True)
+    start, end, first, second = np.array(rows).T
+    result = compute_map(make_encounter_table(t_start_ns=start, t_end_ns=end, id1=first, id2=second), spells, make_recipe(RecipeConfig()))
+    content = msgspec.msgpack.decode(encode_map(result))
+    for name in ("hole_count", "possible_holes", "data"):
+        del content[name]
+    del content["points"]["is_well_seen"], content["recipe"]["replicates"]
+    for item in content["components"]:
+        del item["stability_band"]
+    for item in content["holes"]:
+        del item["probability"]
+    again = decode_map(msgspec.msgpack.encode(content))
+    assert (again.hole_count, again.possible_holes, again.data, again.points.is_well_seen) == (None, (), None, None)
+    assert [hole.probability for hole in again.holes] == [None] * len(result.holes)
+    assert again.points.x.tolist() == result.points.x.tolist()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.bottleneck import Floats, bottleneck_distance
+from mapper.bottleneck import Floats, bottleneck_distance
 
 
 @st.composite

@@ -1,0 +1,108 @@
+"""Say whether the data are enough for what a map says; if not, why, and what would help."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from mapper.durations import duration_text
+from mapper.types import DataVerdict, HoleCount
+
+WANTED_ENCOUNTERS: Final = 15
+"""Encounters that each biobot should have had."""
+WANTED_LANDMARKS: Final = 5
+SURE_ENOUGH: Final = 0.8
+"""How likely the number of holes should be right."""
+LEAST_WELL_SEEN: Final = 0.2
+"""How large a share of the points should be well seen."""
+_MUCH_APART = 0.1
+_LIKELY = 0.05
+_MOST_TOLD = 0.99
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Facts:
+    """What decides whether data are enough.
+
+    Parameters
+    ----------
+    encounters_each
+        Encounters of a biobot, on average.
+    n_landmarks
+        Places where a landmark stood, in the largest component.
+    n_components, apart
+        Components, and the share of all encounters that are in others than the largest.
+    count
+        How sure the number of holes is.
+    well_seen
+        Share of the points that are well seen.
+    span_s
+        From the first encounter's beginning to the last one's end [s].
+    """
+
+    encounters_each: float
+    n_landmarks: int
+    n_components: int
+    apart: float
+    count: HoleCount
+    well_seen: float
+    span_s: float
+
+
+def judge_data(facts: Facts) -> DataVerdict:
+    """Judge the data of a map; the gravest reason comes first."""
+    found = [reason for judge in (_few_encounters, _few_landmarks, _apart, _unsure, _badly_seen) for reason in judge(facts)]
+    remedies = dict.fromkeys(remedy for _, remedy in found)
+    return DataVerdict(is_enough=not found, reasons=tuple(reason for reason, _ in found), remedies=tuple(remedies))
+
+
+def describe_count(count: HoleCount) -> str:
+    """Tell how sure a number of holes is, and what else it may be: ``55 % sure; 1: 30 %, 3: 10 %``."""
+    others = sorted(((p, n) for n, p in enumerate(count.probabilities) if n != count.value and p >= _LIKELY), key=lambda pair: -pair[0])
+    listed = ", ".join(f"{number}: {probability:.0%}" for probability, number in others[:3])
+    return sure_text(count.probability) + (f"; {listed}" if listed else "")
+
+
+def sure_text(probability: float) -> str:
+    """Tell a probability; nothing is told of as certain."""
+    if probability > _MOST_TOLD:
+        return f"over {_MOST_TOLD:.0%} sure"
+    return f"{probability:.0%} sure" if probability >= 1.0 - _MOST_TOLD else f"under {1.0 - _MOST_TOLD:.0%} sure"
+
+
+def _few_encounters(facts: Facts) -> Iterator[tuple[str, str]]:
+    if facts.encounters_each >= WANTED_ENCOUNTERS:
+        return
+    more_s = facts.span_s * (WANTED_ENCOUNTERS / facts.encounters_each - 1.0)
+    walk = f"walk {duration_text(more_s)} more, at the rate so far" if more_s > 0 else "walk on"
+    yield f"{facts.encounters_each:.2g} encounters per biobot; {WANTED_ENCOUNTERS} are wanted", walk
+
+
+def _few_landmarks(facts: Facts) -> Iterator[tuple[str, str]]:
+    n = facts.n_landmarks
+    if n >= WANTED_LANDMARKS:
+        return
+    counted = "no landmark" if n == 0 else "1 landmark" if n == 1 else f"{n} landmarks"
+    remedy = f"let {WANTED_LANDMARKS - n} more biobots stand still, better 10-20 % of all"
+    yield f"{counted} in the largest component; {WANTED_LANDMARKS} are wanted", remedy
+
+
+def _apart(facts: Facts) -> Iterator[tuple[str, str]]:
+    if facts.apart > _MUCH_APART:
+        reason = f"{facts.apart:.0%} of the encounters are not joined to the largest of {facts.n_components} components by any biobot"
+        yield reason, "walk on until biobots go from part to part"
+
+
+def _unsure(facts: Facts) -> Iterator[tuple[str, str]]:
+    if facts.count.probability >= SURE_ENOUGH:
+        return
+    if facts.span_s <= 0 or facts.encounters_each < WANTED_ENCOUNTERS:
+        walk = "let more biobots walk"
+    else:
+        walk = f"walk {duration_text(facts.span_s)} more for twice the encounters, or let more biobots walk"
+    yield f"the number of holes is only {describe_count(facts.count)}", walk
+
+
+def _badly_seen(facts: Facts) -> Iterator[tuple[str, str]]:
+    if facts.well_seen < LEAST_WELL_SEEN:
+        reason = f"{1.0 - facts.well_seen:.0%} of the points are badly seen: their distances may be wrong by more than a tenth of the map"
+        yield reason, "let more biobots stand still, spread over the place, and walk on"
