@@ -222,8 +222,8 @@ LINES = (
         experiment="bounds",
         reported="measured below the bounds; d_B(PD(M), PD(E)) in general smaller than d_B(PD(M), PD(L))",
         here=_bounds,
-        why="the bounds are several times the distances, so that even unsound ones hold; encounters do worse than landmarks by the time until "
-        "a biobot meets something, which maxmin looks for; where no interval answers for the hole, d_B is half its length in both",
+        why="the bounds are several times the distances, so that even unsound ones hold; encounters do worse than landmarks by the time it "
+        "takes a biobot to meet something, which maxmin looks for; where no interval answers for the hole, d_B is half its length",
     ),
 )
 
