@@ -21,6 +21,9 @@ class Skeleton:
     triangles: IntArray
 
 
+NO_SKELETON = Skeleton(edges=np.empty((0, 2), dtype=np.int64), triangles=np.empty((0, 3), dtype=np.int64))
+
+
 def build_skeleton(distances: FloatArray, *, epsilon: float) -> Skeleton:
     """Join points at most ``epsilon`` apart; three points in pairs are a triangle.
 
