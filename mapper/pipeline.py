@@ -1,21 +1,24 @@
 """The stages of the mapper in their order: graph, components, one map each, put side by side."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NS_PER_S
 from mapper.betti import load_trained_rules
-from mapper.component_map import MIN_LANDMARKS, PlacedComponent, map_component
-from mapper.confidence import Evidence, MapAgain, assess_map, gather_evidence
+from mapper.component_map import MIN_LANDMARKS, PlacedComponent, draw_component, map_component
+from mapper.confidence import Evidence, MapAgain, add_verdict, gather_evidence, judge_components, load_models
 from mapper.encounter_graph import Components, build_components
 from mapper.errors import TooFewEncountersError
-from mapper.kernels import Kernels
+from mapper.joined_map import check_alike, join_maps
+from mapper.kernels import Kernels, choose_kernels
 from mapper.landmark_stands import Stands, find_stands, make_landmarks
+from mapper.map_file import MapFile
 from mapper.types import (
     TICKS_PER_S,
+    BoolArray,
     EncounterTable,
     FloatArray,
     Hole,
@@ -26,6 +29,7 @@ from mapper.types import (
     Recipe,
     read_only,
 )
+from mapper.window import make_encounter_table
 
 Progress = Callable[[str, float], None]
 """Called with the stage that begins and the share of the work done so far, in [0, 1]."""
@@ -74,9 +78,15 @@ def compute_map(
         The persistence engine is not installed.
     """
     report = progress or (lambda _stage, _share: None)
-    result, placed, map_again = _map_components(table, spells, recipe, report=report, kernels=kernels, also_place=also_place)
-    report("confidence", 1.0 - 1.0 / ((len(_STAGES) + 1) * len(placed)))
-    result = assess_map(result, table, spells, placed, map_again=map_again)
+    mapped = _map_components(table, spells, recipe, report=report, kernels=kernels, also_place=also_place)
+    models = load_models(recipe.method, recipe.metric) if recipe.replicates else None
+    report("confidence", 1.0 - 1.0 / ((len(_STAGES) + 1) * len(mapped.placed)))
+    if models is None:
+        result = mapped.draw([part.is_real for part in mapped.placed])
+    else:
+        gathered = gather_evidence(table, spells, mapped.placed, recipe, map_again=mapped.map_again)
+        verdict = judge_components(models, gathered, table, n_components=mapped.n_components)
+        result = add_verdict(mapped.draw(verdict.is_hole), mapped.placed, verdict)
     report("done", 1.0)
     return result
 
@@ -84,7 +94,7 @@ def compute_map(
 def compute_evidence(
     table: EncounterTable, spells: Sequence[ModeSpell], recipe: Recipe, *, kernels: Kernels | None = None
 ) -> tuple[MapResult, tuple[Evidence, ...]]:
-    """Make the map without saying how sure it is, and what would tell that: the models are trained on it.
+    """Make the map by the rule alone, and what would tell how sure it is: the models are trained on it.
 
     Raises
     ------
@@ -93,8 +103,36 @@ def compute_evidence(
     EngineMissingError
         The persistence engine is not installed.
     """
-    result, placed, map_again = _map_components(table, spells, recipe, report=lambda _stage, _share: None, kernels=kernels, also_place=None)
-    return result, gather_evidence(result, table, spells, placed, map_again=map_again)
+    mapped = _map_components(table, spells, recipe, report=lambda _stage, _share: None, kernels=kernels, also_place=None)
+    gathered = gather_evidence(table, spells, mapped.placed, recipe, map_again=mapped.map_again)
+    return mapped.draw([part.is_real for part in mapped.placed]), gathered
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Mapped:
+    """The components of a map, not drawn yet, and what maps the largest component of some of the encounters in the same way.
+
+    ``rows``, ``component`` and ``stands`` are as `_add_others` takes them.
+    """
+
+    table: EncounterTable
+    recipe: Recipe
+    placed: tuple[PlacedComponent, ...]
+    n_components: int
+    warnings: tuple[str, ...]
+    rows: IntArray
+    component: IntArray
+    stands: Stands
+    map_again: MapAgain
+
+    def draw(self, is_hole: Sequence[BoolArray]) -> MapResult:
+        """Draw the components with these loops as holes, and put them side by side."""
+        drawn = [
+            draw_component(part, self.recipe, index=index, is_hole=holes)
+            for index, (part, holes) in enumerate(zip(self.placed, is_hole, strict=True))
+        ]
+        result = _assemble(self.table, drawn, self.recipe, n_components=self.n_components, warnings=self.warnings)
+        return _add_others(result, self.table, drawn, rows=self.rows, component=self.component, stands=self.stands)
 
 
 def _map_components(
@@ -105,8 +143,7 @@ def _map_components(
     report: Progress,
     kernels: Kernels | None,
     also_place: IntArray | None,
-) -> tuple[MapResult, list[PlacedComponent], MapAgain]:
-    """Map the components; return the map, its parts, and what maps the largest component of some of the encounters in the same way."""
+) -> _Mapped:
     if len(table) < MIN_ENCOUNTERS:
         raise TooFewEncountersError(n_encounters=len(table), minimum=MIN_ENCOUNTERS)
     report("graph", 0.0)
@@ -134,13 +171,13 @@ def _map_components(
                 others=vertex[component == index],
                 ticks_per_length=ticks_per_length,
                 contact=contact,
+                origin_ns=int(table.t_start_ns.min()),
                 begin=begin,
             )
         )
     warnings = [*_warn_of_span(table), *_warn_of_landmarks(parts, spells), *_warn_of_components(parts, n_mapped=len(placed))]
     warnings += _warn_of_anchors(placed)
     warnings += [warning for part in placed for warning in part.warnings]
-    result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(parts), warnings=warnings)
 
     def map_again(some: EncounterTable) -> PlacedComponent | None:
         if len(some) < MIN_ENCOUNTERS:
@@ -156,11 +193,42 @@ def _map_components(
             others=np.zeros(0, dtype=np.int64),
             ticks_per_length=ticks_per_length,
             contact=contact,
+            origin_ns=int(table.t_start_ns.min()),
             begin=lambda _stage: None,
-            is_drawn=False,
         )
 
-    return _add_others(result, table, placed, rows=rows, component=component, stands=stands), placed, map_again
+    return _Mapped(
+        table=table,
+        recipe=replace(recipe, betti_rules=rules),
+        placed=tuple(placed),
+        n_components=len(parts),
+        warnings=tuple(warnings),
+        rows=rows,
+        component=component,
+        stands=stands,
+        map_again=map_again,
+    )
+
+
+def join_finished_maps(maps: Sequence[MapFile], recipe: Recipe, *, kernels: Kernels | None = None) -> MapResult:
+    """Make one map of several finished ones, by the landmarks and encounters that they share; see `mapper.joined_map`.
+
+    Parameters
+    ----------
+    recipe
+        By which the maps were made.
+
+    Raises
+    ------
+    UnlikeMapsError
+        They were not made in one way.
+    """
+    check_alike(maps)
+    rules = recipe.betti_rules or load_trained_rules(recipe.method, recipe.metric).rules
+    placed, points, warnings = join_maps(maps, recipe, rules, kernels=kernels or choose_kernels())
+    table = make_encounter_table(t_start_ns=points[:, 0], t_end_ns=points[:, 0], id1=points[:, 1], id2=points[:, 2])
+    result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(placed), warnings=tuple(warnings))
+    return replace(result, n_encounters=sum(part.summary.n_encounters for part in placed))
 
 
 def count_points(n_encounters: int, recipe: Recipe) -> int:
@@ -245,7 +313,7 @@ def _warn_of_anchors(placed: Sequence[PlacedComponent]) -> list[str]:
 
 
 def _assemble(
-    table: EncounterTable, placed: Sequence[PlacedComponent], recipe: Recipe, *, n_components: int, warnings: list[str]
+    table: EncounterTable, placed: Sequence[PlacedComponent], recipe: Recipe, *, n_components: int, warnings: tuple[str, ...]
 ) -> MapResult:
     encounters = np.concatenate([part.encounters for part in placed])
     offsets = np.cumsum([0, *(len(part.encounters) for part in placed)])
@@ -269,7 +337,7 @@ def _assemble(
         n_components=n_components,
         length_unit="s" if recipe.speed_mps is None else "m",
         recipe=recipe,
-        warnings=tuple(warnings),
+        warnings=warnings,
     )
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mapper.confidence import Models, load_models
-from mapper.confidence.assess import LEAST_PROBABILITY, WELL_SEEN, tell_count
+from mapper.confidence.assess import LEAST_PROBABILITY, WELL_SEEN, choose_holes, tell_count
 from mapper.confidence.counting import count_holes
 from mapper.confidence.sufficiency import Facts, judge_data
 from mapper.types import BoolArray, FloatArray, Method, MetricKind
@@ -35,14 +35,15 @@ _SURE = 0.9
 class Told:
     """What the map of one run tells, beside the truth.
 
-    ``chance``, ``is_hole`` and ``is_called`` are of its holes and possible holes, shape (k,); ``count``, from 0 on, is the distribution of
-    the number of holes; ``well_seen`` and ``is_right`` are of its points; ``band`` is over the diameter.
+    ``chance``, ``is_hole`` and ``is_called`` are of its holes and possible holes, shape (k,); ``value`` is its number of holes, and
+    ``count``, from 0 on, the distribution of that; ``well_seen`` and ``is_right`` are of its points; ``band`` is over the reach.
     """
 
     witness: Witness
     chance: FloatArray
     is_hole: BoolArray
     is_called: BoolArray
+    value: int
     count: FloatArray
     is_enough: bool
     well_seen: BoolArray
@@ -52,12 +53,12 @@ class Told:
     @property
     def count_chance(self) -> float:
         """That the map's number of holes is right."""
-        return float(self.count[self.witness.counted])
+        return float(self.count[self.value])
 
     @property
     def count_is_right(self) -> bool:
         """Whether it is."""
-        return self.witness.counted == self.witness.true_holes
+        return self.value == self.witness.true_holes
 
 
 def tell(models: Models, witness: Witness) -> Told:
@@ -65,17 +66,19 @@ def tell(models: Models, witness: Witness) -> Told:
     loops = {name: np.array(values) for name, values in witness.loops.items()}
     run = {name: np.array(value) for name, value in witness.run.items()}
     chance = models.loop.probability(loops)
-    is_called = np.array(witness.is_called, dtype=bool)
-    is_told = is_called | (chance >= LEAST_PROBABILITY)
     every = np.concatenate([chance, other_loop_probabilities(models.loop, witness)])
-    count = count_holes(models.count, number_columns(witness, every))
+    n_points = len(witness.is_right)
+    count = count_holes(models.count, number_columns(witness, every), prior=models.prior, n_points=n_points)
+    chosen = choose_holes(every, count, n_points=n_points)
+    is_called = chosen[: len(chance)]
+    is_told = is_called | (chance >= LEAST_PROBABILITY)
     well_seen = models.point.probability({name: np.array(values) for name, values in witness.points.items()}) >= WELL_SEEN
     facts = Facts(
         encounters_each=2.0 * float(np.exp(run["encounters a biobot"])),
         n_landmarks=round(float(np.expm1(run["landmarks"]))),
         n_components=1,
         apart=1.0 - float(np.exp(run["encounters"])) / witness.n_encounters,
-        count=tell_count(witness.counted, count),
+        count=tell_count(int(chosen.sum()), count),
         well_seen=float(well_seen.mean()),
         span_s=0.0,
     )
@@ -84,6 +87,7 @@ def tell(models: Models, witness: Witness) -> Told:
         chance=chance[is_told],
         is_hole=np.array(witness.is_hole, dtype=bool)[is_told],
         is_called=is_called[is_told],
+        value=int(chosen.sum()),
         count=count,
         is_enough=judge_data(facts).is_enough,
         well_seen=well_seen,
@@ -135,6 +139,12 @@ def report(told: Sequence[Told]) -> list[str]:
     lines += ["of these, possible holes", line("all", *hole_events(told, wanted=lambda one: ~one.is_called))]
     lines += ["the map's number of holes is right"]
     lines += [line(name, *count_events(group)) for name, group in groups if group]
+    lines += ["number of holes right: the map's, which is the most probable, and the rule's"]
+    lines += [
+        f"{name:40} {len(group):6d} {_share([one.count_is_right for one in group]):>8} {_share([_rule_is_right(one) for one in group]):>8}"
+        for name, group in groups
+        if group
+    ]
     lines += ["there are just so many holes"]
     pooled = [number_events(told, number) for number in range(_MOST_HOLES + 1)]
     lines += [line(f"{number}", *events) for number, events in enumerate(pooled)]
@@ -159,6 +169,10 @@ def _report_rest(told: Sequence[Told]) -> list[str]:
     sure = sum(int((one.is_called & ~one.is_hole & (one.chance >= _SURE)).sum()) for one in told)
     lines.append(f"holes that are not there and are told of with {_SURE:.0%} or more: {sure} in {len(told)} maps")
     return lines
+
+
+def _rule_is_right(told: Told) -> bool:
+    return told.witness.counted == told.witness.true_holes
 
 
 def _share(values: Sequence[float] | FloatArray | BoolArray) -> str:

@@ -29,7 +29,8 @@ TRAINING_RUNS = 650
 _QUICK_RUNS = 60
 _PENALTIES = (1.0, 3.0, 10.0, 30.0)
 _BAND_SHARE = 0.95
-_BAND_PENALTY, _COUNT_PENALTY, _POINT_PENALTY = 1.0, 10.0, 10.0
+_COUNT_PENALTIES = (3.0, 10.0, 30.0, 100.0)
+_BAND_PENALTY, _POINT_PENALTY = 1.0, 10.0
 _LEAST_MOVE = 0.002  # of the diameter: a diagram without loops does not move
 _POINTS_A_RUN = 40  # points of one map err together, so more would add little
 
@@ -105,7 +106,8 @@ def train(witnesses: Sequence[Witness]) -> Models:
     moves = np.array([max(one.move, _LEAST_MOVE) for one in mapped])
     return Models(
         loop=loop,
-        count=_fit_count(mapped, found),
+        count=_fit_count(mapped, found, folds),
+        prior=tuple((np.bincount([one.true_holes for one in mapped]) / len(mapped)).tolist()),
         band=fit_band(runs, moves, folds, RUN_TERMS, penalty=_BAND_PENALTY, share=_BAND_SHARE),
         point=_fit_points(mapped),
     )
@@ -117,12 +119,29 @@ def number_columns(witness: Witness, found: FloatArray) -> dict[str, FloatArray]
     return describe_numbers(found, counted=witness.counted, replicas=np.array(witness.replica_counts), run=run)
 
 
-def _fit_count(mapped: Sequence[Witness], found: Sequence[FloatArray]) -> Model:
+def _fit_count(mapped: Sequence[Witness], found: Sequence[FloatArray], folds: IntArray) -> Model:
+    """Fit the choice among numbers, with the penalty under which the true numbers of folds left out are foretold best."""
     tables = [number_columns(one, chances) for one, chances in zip(mapped, found, strict=True)]
     lengths = [len(table["number"]) for table in tables]
     columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
     is_true = np.concatenate([np.arange(length) == one.true_holes for one, length in zip(mapped, lengths, strict=True)])
-    return fit_choice(columns, np.repeat(np.arange(len(tables)), lengths), is_true, COUNT_TERMS, penalty=_COUNT_PENALTY)
+    run = np.repeat(np.arange(len(tables)), lengths)
+
+    def fit(is_in: BoolArray, penalty: float) -> Model:
+        own = {name: column[is_in] for name, column in columns.items()}
+        return fit_choice(own, np.unique(run[is_in], return_inverse=True)[1], is_true[is_in], COUNT_TERMS, penalty=penalty)
+
+    def loss(penalty: float) -> float:
+        total = 0.0
+        for out in np.unique(folds):
+            is_out = folds[run] == out
+            model = fit(~is_out, penalty)
+            for index in np.flatnonzero(folds == out).tolist():
+                score = model.score(tables[index])
+                total += float(np.logaddexp.reduce(score) - score[mapped[index].true_holes])
+        return total
+
+    return fit(np.ones(len(run), dtype=bool), min(_COUNT_PENALTIES, key=loss))
 
 
 def other_loop_probabilities(model: Model, witness: Witness) -> FloatArray:
@@ -146,6 +165,7 @@ def describe(models: Models, *, trained_on: str, command: str) -> dict[str, obje
     return {
         "loop": _plain(models.loop),
         "count": _plain(models.count),
+        "prior": [_rounded(share) for share in models.prior],
         "band": _plain(models.band),
         "point": _plain(models.point),
         "trained_on": trained_on,

@@ -1,8 +1,19 @@
 """How sure a map is: of each hole, of their number, of its distances, of its regions, and whether the data are enough."""
 
-from mapper.confidence.assess import MapAgain, assess_map, gather_evidence
+from mapper.confidence.assess import MapAgain, add_verdict, gather_evidence, judge_components
 from mapper.confidence.evidence import Evidence
 from mapper.confidence.model import Model, Models, load_models
 from mapper.confidence.sufficiency import describe_count, sure_text
 
-__all__ = ["Evidence", "MapAgain", "Model", "Models", "assess_map", "describe_count", "gather_evidence", "load_models", "sure_text"]
+__all__ = [
+    "Evidence",
+    "MapAgain",
+    "Model",
+    "Models",
+    "add_verdict",
+    "describe_count",
+    "gather_evidence",
+    "judge_components",
+    "load_models",
+    "sure_text",
+]

@@ -1,7 +1,7 @@
-"""Say how sure a finished map is: gather the evidence, ask the models, and write the answers into the map."""
+"""Say how sure a map is, and so which of its loops are holes: gather the evidence, ask the models, write the answers into the map."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,12 +11,24 @@ from scipy.sparse.csgraph import connected_components
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
 from mapper.component_map import PlacedComponent
-from mapper.confidence.counting import count_holes, describe_numbers
+from mapper.confidence.counting import LEAST_POINTS, count_holes, describe_numbers
 from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track, mean_change, reach_of
-from mapper.confidence.model import Models, load_models
+from mapper.confidence.model import Models
 from mapper.confidence.sufficiency import Facts, judge_data
 from mapper.outlines import outline_holes
-from mapper.types import BoolArray, EncounterTable, FloatArray, Hole, HoleCount, IntArray, MapResult, ModeSpell, read_only
+from mapper.types import (
+    BoolArray,
+    DataVerdict,
+    EncounterTable,
+    FloatArray,
+    Hole,
+    HoleCount,
+    IntArray,
+    MapResult,
+    ModeSpell,
+    Recipe,
+    read_only,
+)
 from mapper.window import select_rows
 
 MapAgain = Callable[[EncounterTable], PlacedComponent | None]
@@ -30,75 +42,113 @@ WELL_SEEN: Final = 0.8
 _NS_PER_S = 1e9
 
 
-def assess_map(
-    result: MapResult,
-    table: EncounterTable,
-    spells: Sequence[ModeSpell],
-    placed: Sequence[PlacedComponent],
-    *,
-    map_again: MapAgain,
-    models: Models | None = None,
-) -> MapResult:
-    """Add to a map how sure it is; it stays as it is where ``recipe.replicates`` is 0 or nobody trained models for its method.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Verdict:
+    """How sure a map is.
 
-    Parameters
-    ----------
-    table, spells
-        All encounters that the map is of, and when biobots stood still.
-    placed
-        The components of the map, in its order.
-    models
-        What to ask; None takes those that the package ships.
+    For each component: ``chances`` of its longest loops, ``is_hole`` of all its loops, and the ``bands``. ``count``, from 0 on, is the
+    distribution of the number of holes; ``is_well_seen`` is of the points of all components.
+    """
+
+    chances: tuple[FloatArray, ...]
+    is_hole: tuple[BoolArray, ...]
+    bands: tuple[float, ...]
+    count: HoleCount
+    is_well_seen: BoolArray
+    data: DataVerdict
+
+
+def judge_components(models: Models, gathered: Sequence[Evidence], table: EncounterTable, *, n_components: int) -> Verdict:
+    """Say how sure a map of encounters is, and which of its loops are holes.
 
     Notes
     -----
-    Parts of the time of each component are mapped again: encounters in their order, cut into ``recipe.replicates`` blocks of equal size, of
-    which each replica lacks one (of two blocks: it has one). So replicas are cut where time is, and neither by biobots' names nor
-    by chance: encounters close in time share their errors, and single ones left out would take little away.
+    There are as many holes as is most probable, and they are the likeliest loops: the rule of the recipe only takes part in the evidence.
     """
-    models = models or load_models(result.recipe.method, result.recipe.metric)
-    if result.recipe.replicates == 0 or models is None:
-        return result
-    gathered = gather_evidence(result, table, spells, placed, map_again=map_again)
-    loops = [loop_probabilities(models, one) for one in gathered]
-    distribution = count_distribution(models, gathered, loops)
+    chances = tuple(loop_probabilities(models, one) for one in gathered)
+    distribution = count_distribution(models, gathered, chances)
+    chosen = choose_holes(np.concatenate(chances), distribution, n_points=gathered[0].part.n_points)
+    ends = np.cumsum([len(some) for some in chances])[:-1]
+    is_hole = tuple(
+        np.pad(some, (0, len(one.part.intervals[1]) - len(some))) for some, one in zip(np.split(chosen, ends), gathered, strict=True)
+    )
     is_well_seen: BoolArray = np.concatenate([point_probabilities(models, one) >= WELL_SEEN for one in gathered])
-    count = tell_count(len(result.holes), distribution)
+    count = tell_count(int(chosen.sum()), distribution)
     facts = Facts(
         encounters_each=2.0 * len(table) / len(np.unique(np.concatenate([table.id1, table.id2]))),
-        n_landmarks=result.components[0].n_landmarks,
-        n_components=result.n_components,
-        apart=1.0 - result.components[0].n_encounters / result.n_encounters,
+        n_landmarks=gathered[0].part.n_landmarks,
+        n_components=n_components,
+        apart=1.0 - gathered[0].part.n_encounters / len(table),
         count=count,
         well_seen=float(is_well_seen.mean()),
         span_s=(int(table.t_end_ns.max()) - int(table.t_start_ns.min())) / _NS_PER_S,
     )
-    return replace(
-        result,
-        holes=_add_probabilities(result, loops),
-        possible_holes=_outline_possible(result, placed, loops),
-        hole_count=count,
-        components=tuple(
-            replace(part, stability_band=stability_band(models, one)) for part, one in zip(result.components, gathered, strict=True)
-        ),
-        points=replace(result.points, is_well_seen=read_only(is_well_seen)),
+    return Verdict(
+        chances=chances,
+        is_hole=is_hole,
+        bands=tuple(stability_band(models, one) for one in gathered),
+        count=count,
+        is_well_seen=is_well_seen,
         data=judge_data(facts),
     )
 
 
+def add_verdict(result: MapResult, placed: Sequence[PlacedComponent], verdict: Verdict) -> MapResult:
+    """Write into a map, drawn with the holes of a verdict, how sure it is; ``placed`` are its components."""
+    return replace(
+        result,
+        holes=_add_probabilities(result, verdict.chances),
+        possible_holes=_outline_possible(result, placed, verdict),
+        hole_count=verdict.count,
+        components=tuple(replace(part, stability_band=band) for part, band in zip(result.components, verdict.bands, strict=True)),
+        points=replace(result.points, is_well_seen=read_only(verdict.is_well_seen)),
+        data=verdict.data,
+    )
+
+
+def choose_holes(chances: FloatArray, distribution: FloatArray, *, n_points: int) -> BoolArray:
+    """Say which loops are holes: the likeliest, as many as is most probable, but no more than there are; ties go to the earlier.
+
+    None are where there are too few points for a map.
+
+    Parameters
+    ----------
+    chances
+        That each loop is a hole, shape (k,).
+    distribution
+        Probabilities of 0, 1, 2, ... holes.
+    """
+    is_hole = np.zeros(len(chances), dtype=bool)
+    number = int(np.argmax(distribution[: len(chances) + 1])) if n_points >= LEAST_POINTS else 0
+    is_hole[np.argsort(-chances, kind="stable")[:number]] = True
+    return is_hole
+
+
 def gather_evidence(
-    result: MapResult, table: EncounterTable, spells: Sequence[ModeSpell], placed: Sequence[PlacedComponent], *, map_again: MapAgain
+    table: EncounterTable,
+    spells: Sequence[ModeSpell],
+    placed: Sequence[PlacedComponent],
+    recipe: Recipe,
+    *,
+    map_again: MapAgain,
 ) -> tuple[Evidence, ...]:
-    """Map parts of the time of each component again, and gather what is known of it; ``replicates`` is at least 1."""
+    """Map parts of the time of each component again, and gather what is known of it; ``recipe.replicates`` is at least 1.
+
+    Notes
+    -----
+    Encounters in their order are cut into ``recipe.replicates`` blocks of equal size, of which each replica lacks one (of two blocks: it
+    has one). So replicas are cut where time is, and neither by biobots' names nor by chance: encounters close in time share their errors,
+    and single ones left out would take little away.
+    """
     landmarks = {spell.node for spell in spells if spell.mode is Mode.S and spell.cause is Cause.COMMAND}
-    left_out = 1.0 - sum(part.n_encounters for part in result.components) / result.n_encounters
-    length_per_s = result.recipe.speed_mps or 1.0
+    left_out = 1.0 - sum(part.summary.n_encounters for part in placed) / len(table)
+    length_per_s = recipe.speed_mps or 1.0
     gathered = []
     for one, rows in zip(placed, _rows_of_components(table, placed), strict=True):
         own = select_rows(table, rows) if rows is not None else table
         duration_s = float(np.median(own.t_end_ns - own.t_start_ns)) / _NS_PER_S
         replicas = [
-            (again, part) if (again := map_again(part)) is not None else None for part in cut_time(own, replicates=result.recipe.replicates)
+            (again, part) if (again := map_again(part)) is not None else None for part in cut_time(own, replicates=recipe.replicates)
         ]
         factor = length_per_s if one.summary.scale is None else length_per_s * one.summary.scale.factor
         track = Track(n_biobots=len(np.unique(np.concatenate([own.id1, own.id2]))), median_duration=duration_s * factor, left_out=left_out)
@@ -131,7 +181,7 @@ def count_distribution(models: Models, gathered: Sequence[Evidence], loops: Sequ
     """Say how likely there are 0, 1, 2, ... holes in all components; of the run, the largest of them tells."""
     counted = sum(one.part.betti_numbers[1] for one in gathered)
     columns = describe_numbers(np.concatenate(loops), counted=counted, replicas=replica_counts(gathered), run=gathered[0].run_columns())
-    return count_holes(models.count, columns)
+    return count_holes(models.count, columns, prior=models.prior, n_points=gathered[0].part.n_points)
 
 
 def replica_counts(gathered: Sequence[Evidence]) -> IntArray:
@@ -190,23 +240,17 @@ def _add_probabilities(result: MapResult, loops: Sequence[FloatArray]) -> tuple[
     return tuple(told)
 
 
-def _outline_possible(result: MapResult, placed: Sequence[PlacedComponent], loops: Sequence[FloatArray]) -> tuple[Hole, ...]:
-    """Draw the loops that are not called real and may be holes, the likeliest first."""
-    called = {(hole.component, hole.birth, hole.death) for hole in result.holes}
+def _outline_possible(result: MapResult, placed: Sequence[PlacedComponent], verdict: Verdict) -> tuple[Hole, ...]:
+    """Draw the loops that are not called holes and may be, the likeliest first."""
     possible = []
-    for index, (one, probabilities) in enumerate(zip(placed, loops, strict=True)):
+    for index, (one, chances, is_hole) in enumerate(zip(placed, verdict.chances, verdict.is_hole, strict=True)):
         first_point = int(np.argmax(result.points.component == index))
-        intervals = one.summary.intervals[1]
-        rows = [
-            row
-            for row, probability in enumerate(probabilities.tolist())
-            if probability >= LEAST_PROBABILITY and (index, *intervals[row].tolist()) not in called
-        ]
-        outlines = outline_holes(one.summary.distances, one.diagram, np.array(rows, dtype=np.int64)) if rows else ()
-        for row, outline in zip(rows, outlines, strict=True):
-            birth, death = intervals[row].tolist()
-            points, probability = read_only(outline + first_point), float(probabilities[row])
-            possible.append(Hole(component=index, birth=birth, death=death, outline=points, probability=probability))
+        rows = np.flatnonzero((chances >= LEAST_PROBABILITY) & ~is_hole[: len(chances)])
+        outlines = outline_holes(one.summary.distances, one.diagram, rows) if len(rows) else ()
+        for row, outline in zip(rows.tolist(), outlines, strict=True):
+            birth, death = one.summary.intervals[1][row].tolist()
+            points = read_only(outline + first_point)
+            possible.append(Hole(component=index, birth=birth, death=death, outline=points, probability=float(chances[row])))
     return tuple(sorted(possible, key=lambda hole: (-(hole.probability or 0.0), hole.component, hole.birth - hole.death)))
 
 

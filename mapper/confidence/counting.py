@@ -1,5 +1,6 @@
 """How likely each number of holes is: every number is described, and a fitted model says how well each fits."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -9,6 +10,9 @@ from mapper.types import FloatArray, IntArray
 
 MOST_HOLES: Final = 12
 """Numbers up to this are told of, and up to a few more than the map has loops called real: twice the most in any training run."""
+
+LEAST_POINTS: Final = 20
+"""A map of fewer points tells nothing of holes: a ring around one, and what is beside it, already takes about as many (own choice)."""
 
 COUNT_FEATURES: Final = (
     "sum of loops",
@@ -71,8 +75,16 @@ def describe_numbers(probabilities: FloatArray, *, counted: int, replicas: IntAr
     return columns | {name: np.full(n, float(value)) for name, value in run.items()}
 
 
-def count_holes(model: Model, columns: dict[str, FloatArray]) -> FloatArray:
-    """Say how likely each number of holes is, shape (n,): in proportion to the exponential of its score."""
+def count_holes(model: Model, columns: dict[str, FloatArray], *, prior: Sequence[float], n_points: int) -> FloatArray:
+    """Say how likely each number of holes is, shape (n,): in proportion to the exponential of its score.
+
+    Parameters
+    ----------
+    prior
+        How likely it is before anything is known; all that is told of a map of fewer than ``LEAST_POINTS`` points.
+    """
+    if n_points < LEAST_POINTS:
+        return np.pad(np.array(prior), (0, len(columns["number"]) - len(prior)))
     score = model.score(columns)
     weights = np.exp(score - score.max())
     return np.asarray(weights / weights.sum())

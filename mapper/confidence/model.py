@@ -57,6 +57,8 @@ class Models:
         Odds that a loop goes around an obstacle.
     count
         How well a number of holes fits, as `mapper.confidence.counting` takes it.
+    prior
+        Shares of the training runs with 0, 1, 2, ... holes: what is known of a map of too few points.
     band
         Logarithm of the length, over the map's reach, that the diagram is not further than from the true one in 95 % of runs.
     point
@@ -65,6 +67,7 @@ class Models:
 
     loop: Model
     count: Model
+    prior: tuple[float, ...]
     band: Model
     point: Model
     trained_on: str = ""
@@ -80,6 +83,7 @@ def load_models(method: Method, metric: MetricKind) -> Models | None:
         return None
     return Models(
         **{name: _read_model(entry[name]) for name in ("loop", "count", "band", "point")},
+        prior=tuple(map(float, entry["prior"])),
         trained_on=entry["trained_on"],
         command=entry["command"],
     )

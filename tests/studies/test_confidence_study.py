@@ -72,7 +72,7 @@ def test_choices_that_a_score_made_are_found_again() -> None:
     columns = {"x": x.ravel(), "y": y.ravel()}
     is_true = (np.arange(4) == drawn[:, None]).ravel()
     model = fit_choice(columns, np.repeat(np.arange(3000), 4), is_true, [("x",), ("y",)], penalty=0.1)
-    found = np.array([count_holes(model, {"x": x[run], "y": y[run]}) for run in range(200)])
+    found = np.array([count_holes(model, {"x": x[run], "y": y[run]}, prior=(), n_points=100) for run in range(200)])
     assert np.abs(found - chance[:200]).mean() < 0.02
 
 
@@ -107,7 +107,7 @@ def test_few_short_runs_train_models_that_tell_of_other_runs() -> None:
     assert [WITNESSES.unpack(WITNESSES.pack(one)) for one in witnesses] == witnesses
     models = train(witnesses[:24])
     entry = describe(models, trained_on="", command="")
-    assert set(entry) == {"loop", "count", "band", "point", "trained_on", "command"}
+    assert set(entry) == {"loop", "count", "prior", "band", "point", "trained_on", "command"}
     told = [tell(models, one) for one in witnesses[24:] if one.run]
     assert all(((one.chance >= 0.0) & (one.chance <= 1.0)).all() for one in told)
     assert all(one.count.sum() == pytest.approx(1.0) for one in told)

@@ -8,10 +8,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.units import NodeId
+from mapper.confidence.assess import choose_holes
 from mapper.config import RecipeConfig, make_recipe
 from mapper.pipeline import compute_map
 from mapper.report import summarize, to_json_object
-from mapper.types import MapResult, Method, ModeSpell
+from mapper.types import BettiRule, BettiRuleKind, MapResult, Method, ModeSpell
 from tests.mapper.worlds import NS, Row, encounter_rows, mode_spells, table_of, walk_track
 
 _RECIPE = make_recipe(RecipeConfig())
@@ -38,6 +39,31 @@ def test_every_probability_is_one_and_those_of_all_numbers_sum_to_one() -> None:
     assert result.hole_count is not None
     assert sum(result.hole_count.probabilities) == pytest.approx(1.0)
     assert result.hole_count.probability == result.hole_count.probabilities[result.hole_count.value]
+
+
+@given(st.lists(st.floats(0.0, 1.0), max_size=8), st.lists(st.floats(0.01, 1.0), min_size=13, max_size=13))
+def test_the_likeliest_loops_are_holes_as_many_as_is_most_probable(chances: list[float], weights: list[float]) -> None:
+    distribution = np.array(weights) / sum(weights)
+    chosen = choose_holes(np.array(chances), distribution, n_points=100)
+    assert distribution[chosen.sum()] == max(distribution[: len(chances) + 1])
+    assert min([chance for chance, is_hole in zip(chances, chosen, strict=True) if is_hole], default=1.0) >= max(
+        [chance for chance, is_hole in zip(chances, chosen, strict=True) if not is_hole], default=0.0
+    )
+
+
+@pytest.mark.parametrize("number", [0, 1, 3])
+def test_a_map_is_drawn_with_the_holes_that_are_most_probable_whatever_the_rule_says(number: int) -> None:
+    """With a rule that calls nothing a hole, or many loops, the ring's one hole is found all the same."""
+    rule = BettiRule(kind=BettiRuleKind.QUANTILE, q=0.7, delta=0.005, tau={0: 1e6, 1: 4.0, 3: 0.5}[number])
+    rules = (BettiRule(kind=BettiRuleKind.CONNECTED, q=0.7, delta=0.0, tau=1.0), rule)
+    rows, spells = walk_track(n_landmarks=20, n_walkers=30, duration_s=120, seed=1, is_ring=True)
+    result = compute_map(table_of(rows), spells, dataclasses.replace(_RECIPE, betti_rules=rules))
+    assert result.hole_count is not None
+    assert result.hole_count.value == len(result.holes) == result.betti_numbers[1] == result.components[0].betti_numbers[1]
+    assert result.hole_count.probability == max(result.hole_count.probabilities)
+    called = {(hole.birth, hole.death) for hole in result.holes}
+    assert called.isdisjoint((hole.birth, hole.death) for hole in result.possible_holes)
+    assert all((hole.probability or 0.0) >= (other.probability or 0.0) for hole in result.holes for other in result.possible_holes)
 
 
 def test_possible_holes_are_loops_that_are_not_called_real_the_likeliest_first() -> None:
