@@ -229,6 +229,7 @@ def _write_outputs(
     result: MapResult, facts: Mapping[str, object], args: argparse.Namespace, *, part: str | None, pinned: "Pinned | None"
 ) -> None:
     from mapper.geojson import describe_frame, summarize_frame, to_geojson  # noqa: PLC0415  # see _run
+    from mapper.map_file import merging_facts  # noqa: PLC0415  # see _run
     from mapper.render import render_map  # noqa: PLC0415  # see _run
     from mapper.report import summarize, to_json_object  # noqa: PLC0415  # see _run
 
@@ -238,7 +239,7 @@ def _write_outputs(
         write_output(args.png, render_map(result, image_format="png", part=part, pinned=pinned))
     if args.json is not None:
         frame = {"operator_frame": None if pinned is None else describe_frame(result, pinned)}
-        text = json.dumps({**to_json_object(result), **frame, **facts}, allow_nan=False) + "\n"
+        text = json.dumps({**to_json_object(result), **merging_facts(result), **frame, **facts}, allow_nan=False) + "\n"
         write_output(args.json, text.encode())
     if args.geojson is not None:
         write_output(args.geojson, (json.dumps(to_geojson(result, pinned=pinned), allow_nan=False) + "\n").encode())
@@ -312,12 +313,16 @@ def _add_run_arguments(run: argparse.ArgumentParser) -> None:
 
 def _add_merge_arguments(merge: argparse.ArgumentParser) -> None:
     merge.add_argument(
-        "inputs", type=Path, nargs="*", metavar="INPUT", help="CSV of encounters, or a directory with encounters.csv and modes.csv"
+        "inputs",
+        type=Path,
+        nargs="*",
+        metavar="INPUT",
+        help="CSV of encounters, directory with encounters.csv and modes.csv, or JSON of a map",
     )
     merge.add_argument(
         "--modes", type=Path, action="append", default=[], metavar="FILE", help="CSV of modes; once for each CSV of encounters, in order"
     )
-    merge.add_argument("--shift-s", type=_seconds, metavar="S,S", help="add to the times of each input, in order: clocks that differ")
+    merge.add_argument("--shift-s", type=_seconds, metavar="S,S", help="add to the times of each recording, in order: clocks that differ")
     merge.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
     _add_map_arguments(merge)
 

@@ -19,9 +19,25 @@ from mapper.placement import Placement, place_in_plane, placed_profiles
 from mapper.placing import place_among
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.scale import estimate_scale, gather_evidence, load_scale_law
+<<<<<<< HEAD
 from mapper.skeleton import NO_SKELETON, Skeleton, build_skeleton, choose_epsilon
+=======
+from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon, limit_epsilon
+>>>>>>> main
 from mapper.subsampling import Subsample, stand_for, subsample_maxmin
-from mapper.types import BettiRule, BoolArray, ComponentMap, FloatArray, Hole, IntArray, MetricKind, ProfileNorm, Recipe, read_only
+from mapper.types import (
+    BettiRule,
+    BoolArray,
+    ComponentMap,
+    FloatArray,
+    Hole,
+    IntArray,
+    LandmarkPlaces,
+    MetricKind,
+    ProfileNorm,
+    Recipe,
+    read_only,
+)
 from mapper.views import ONE_VIEW, Views, count_views
 
 MIN_LANDMARKS = 3
@@ -33,6 +49,7 @@ _MAX_DETOURS = 2**34
 _LEAST_MOST = 32
 # Of a map that many views were put together to: more points take long.
 _MAX_POINTS_OF_VIEWS = 1500
+_FEWEST_VIEWS = 2.0
 # Of the encounters that stand behind a point beyond those it needs, the share that is averaged with it (own choice, on training runs).
 _SPREAD_SHARE = 0.5
 _LEAST_AVERAGED = 12
@@ -88,6 +105,7 @@ def map_component(
     n_points: int,
     others: IntArray,
     ticks_per_length: float,
+    origin_ns: int,
     contact: float,
     begin: Callable[[str], None],
 ) -> PlacedComponent:
@@ -103,6 +121,8 @@ def map_component(
         Vertices to be placed besides, shape (k,); they change nothing else.
     ticks_per_length
         Ticks in one unit of length of the map.
+    origin_ns
+        When the first encounter of all began [ns].
     contact
         How long encounters last, their median [ticks].
     begin
@@ -145,6 +165,27 @@ def map_component(
         vertices = stand_for(sample, compared.metric, compared.candidates, doubt=places.doubt, xy=places.xy)
         coordinates = turn_to_axes(places.xy[vertices] / ticks_per_length)
     merges, loops = diagram.intervals
+<<<<<<< HEAD
+=======
+    drawn = np.flatnonzero(real[1]) if is_drawn else np.zeros(0, dtype=np.int64)
+    size_model = load_size_model(recipe.method, recipe.metric)
+    holes = tuple(
+        shape_hole(
+            Hole(component=index, birth=birth, death=death, outline=outline),
+            coordinates,
+            lengths,
+            n_used=n_used,
+            model=size_model,
+        )
+        for (birth, death), outline in zip(loops[drawn].tolist(), outline_holes(lengths, diagram, drawn), strict=True)
+    )
+    if recipe.epsilon_share is None:
+        epsilon = choose_epsilon(loops[real[1]], loops[~real[1]], merges[np.isfinite(merges[:, 1]), 1])
+    else:
+        epsilon = recipe.epsilon_share * diameter
+    if compared.views.number > 1:
+        epsilon = limit_epsilon(lengths, epsilon)
+>>>>>>> main
     return PlacedComponent(
         summary=ComponentMap(
             n_encounters=graph.n_encounters,
@@ -159,6 +200,7 @@ def map_component(
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
+            places=_locate_landmarks(graph, compared.metric, sample.vertices, origin_ns=origin_ns, ticks_per_length=ticks_per_length),
             scale=scale,
         ),
         is_real=real[1],
@@ -176,6 +218,7 @@ def map_component(
     )
 
 
+<<<<<<< HEAD
 def draw_component(placed: PlacedComponent, recipe: Recipe, *, index: int, is_hole: BoolArray) -> PlacedComponent:
     """Draw what is looked at: outlines and shapes of the loops that are holes, and the complex at the scale that shows them.
 
@@ -209,6 +252,18 @@ def draw_component(placed: PlacedComponent, recipe: Recipe, *, index: int, is_ho
         summary=replace(summary, epsilon=epsilon, betti_numbers=(summary.betti_numbers[0], len(rows))),
         holes=holes,
         skeleton=build_skeleton(summary.distances, epsilon=epsilon),
+=======
+def _locate_landmarks(
+    graph: EncounterGraph, metric: Metric, points: IntArray, *, origin_ns: int, ticks_per_length: float
+) -> LandmarkPlaces:
+    node, begin, end = graph.stands.T
+    return LandmarkPlaces(
+        node=read_only(node.copy()),
+        t_start_ns=read_only(origin_ns + begin // 2),
+        t_end_ns=read_only(origin_ns + end // 2),
+        to_points=read_only(distances_to(metric, graph.landmarks, points) / ticks_per_length),
+        between=read_only(distances_to(metric, graph.landmarks, graph.landmarks) / ticks_per_length),
+>>>>>>> main
     )
 
 
@@ -272,7 +327,9 @@ def _compare_and_filter(
     bracket = bracket_profiles(times, references, kernels=graph.kernels)
     begin("outliers")
     kept = keep_well_bracketed(bracket, q=recipe.outlier_q)
-    if recipe.placed and recipe.profile_norm is ProfileNorm.MAX and len(graph.landmarks) >= MIN_LANDMARKS:
+    # Of a swarm that moved on, tracks in the plane make a worse map: of 30 obstacles 16 were found with them and 22 without (own count).
+    settles = recipe.placed and views.number < _FEWEST_VIEWS
+    if settles and recipe.profile_norm is ProfileNorm.MAX and len(graph.landmarks) >= MIN_LANDMARKS:
         return _place_and_compare(graph, references, recipe, bracket=bracket, kept=kept, views=views, n_points=n_points, contact=contact)
     candidates = thin_out(kept, limit=recipe.max_candidates)
     # Of fewer candidates fewer are averaged, over the same area.
@@ -320,7 +377,7 @@ def _count_views(graph: EncounterGraph, references: IntArray, times: FloatArray)
     if not len(columns):
         return ONE_VIEW
     of_landmarks = references[columns]
-    return count_views(times[np.ix_(of_landmarks, columns)], graph.stands[np.searchsorted(graph.landmarks, of_landmarks)])
+    return count_views(times[np.ix_(of_landmarks, columns)], graph.stands[np.searchsorted(graph.landmarks, of_landmarks), 1:])
 
 
 def _inliers(metric: Metric, recipe: Recipe) -> BoolArray:

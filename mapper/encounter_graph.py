@@ -34,7 +34,7 @@ class EncounterGraph:
     landmarks
         Vertices at which a landmark stood, shape (l,), ascending. Landmarks that met while standing share one.
     stands
-        When the landmark of each that was met first stood there: begin and end [ticks since the first encounter of all], shape (l, 2).
+        Who stood at each when it was first met there, and from when to when [ticks since the first encounter of all]: shape (l, 3).
     kernels
         What computes on it.
     """
@@ -197,16 +197,16 @@ def _static_spells(spells: Sequence[ModeSpell], *, origin: int, last_ns: int) ->
 
 
 def _find_stands(centres: IntArray, id1: IntArray, id2: IntArray, commanded: Stands) -> IntArray:
-    """Find the commanded stand that holds each of some encounters, shape (l,): begin and end [ticks], shape (l, 2); the longer of two."""
-    found = np.zeros((len(centres), 2), dtype=np.int64)
+    """Find the commanded stand that holds each of some encounters, shape (l,); the longer of two. As ``EncounterGraph.stands``."""
+    found = np.zeros((len(centres), 3), dtype=np.int64)
     for row, (centre, nodes) in enumerate(zip(centres.tolist(), zip(id1.tolist(), id2.tolist(), strict=True), strict=True)):
         for node in nodes:
             first, last = np.searchsorted(commanded.nodes, [node, node + 1])
             place = int(np.searchsorted(commanded.begins[first:last], centre, side="right")) + int(first) - 1
             if place >= first and commanded.ends[place] >= centre:
                 begin, end = int(commanded.begins[place]), int(commanded.ends[place])
-                if end - begin >= found[row, 1] - found[row, 0]:
-                    found[row] = begin, end
+                if end - begin >= found[row, 2] - found[row, 1]:
+                    found[row] = node, begin, end
     return found
 
 

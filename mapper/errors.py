@@ -4,6 +4,7 @@ MapError
 ├── InputFileError         a file of encounters or modes cannot be used; its faults are listed line by line
 ├── TooFewEncountersError  there is nothing to make a map of yet
 ├── TooManyEncountersError the kernels cannot number so many encounters
+├── UnlikeMapsError        maps to be joined were made in different ways
 ├── OutOfMemoryError       there is not enough memory for so many encounters
 ├── UnknownBiobotError     a biobot was named that is in no encounter
 ├── MapDocumentError       a file or object that should be a map is none
@@ -74,6 +75,15 @@ class TooManyEncountersError(MapError):
         super().__init__(f"{n_encounters} encounters, but a map can be made of at most {maximum}; map a window of time")
         self.n_encounters = n_encounters
         self.maximum = maximum
+
+
+class UnlikeMapsError(MapError):
+    """Maps to be joined were made in different ways, so their distances cannot be compared."""
+
+    def __init__(self, *, what: str, values: Sequence[str]) -> None:
+        super().__init__(f"the maps differ in {what}: {', '.join(values)}; make them anew with the same, or merge the encounters")
+        self.what = what
+        self.values = tuple(values)
 
 
 class OutOfMemoryError(MapError):

@@ -222,23 +222,25 @@ def _name_outlier(on_map: FloatArray, known: FloatArray, names: list[str]) -> li
     if n < _LEAST_FOR_OUTLIER:
         return []
     found = []
+    # What is exact but for rounding is no outlier of anything.
+    floor = (1e-9 * (1.0 + float(np.abs(known).max()))) ** 2
     for left_out in range(n):
         kept = np.arange(n) != left_out
+        one = np.arange(left_out, left_out + 1)
         fits = [_fit(on_map[kept], known[kept], is_mirrored=is_mirrored) for is_mirrored in (False, True)]
-        squares, fit = min(
-            ((float((_residuals(one, on_map[kept], known[kept]) ** 2).sum()), one) for one in fits), key=lambda pair: pair[0]
-        )
-        off = float(_residuals(fit, on_map[left_out : left_out + 1], known[left_out : left_out + 1])[0])
-        found.append((squares, off, left_out))
-    squares, off, worst = min(found)
+        squares = [float((_residuals(fit, on_map[kept], known[kept]) ** 2).sum()) for fit in fits]
+        # Where the others leave the handedness open, the pin may choose it.
+        possible = [fit for fit, square in zip(fits, squares, strict=True) if square <= _CLEARLY_WORSE**2 * min(squares) + n * floor]
+        off = min(float(_residuals(fit, on_map[one], known[one])[0]) for fit in possible)
+        found.append((min(squares), off, left_out))
+    total, off, worst = min(found)
     freedom = 2 * (n - 1) - 4
-    # What is exact but for rounding is no outlier of anything.
-    variance = max(squares / freedom, (1e-9 * (1.0 + float(np.abs(known).max()))) ** 2)
+    variance = max(total / freedom, floor)
     others = on_map[np.arange(n) != worst]
     middle = others.mean(axis=0)
     leverage = 1.0 / (n - 1) + float(((on_map[worst] - middle) ** 2).sum() / ((others - middle) ** 2).sum())
     f = off**2 / (2.0 * variance * (1.0 + leverage))
     if (1.0 + 2.0 * f / freedom) ** (-freedom / 2.0) > _FALSE_ALARMS / n:
         return []
-    rms = sqrt(squares / (n - 1))
+    rms = sqrt(total / (n - 1))
     return [f"{names[worst]} is {off:.3g} m from where the other {n - 1} pins put it, which agree within {rms:.3g} m rms; check its place"]

@@ -187,13 +187,12 @@ def _holes(result: MapResult, canvas: _Canvas) -> Iterable[JsonValue]:
         lengths = ("birth", "death", "perimeter", "perimeter_error")
         sizes: JsonObject = {name: _scaled(getattr(hole, name), scale) for name in lengths}
         sizes |= {name: _scaled(getattr(hole, name), None if scale is None else scale**2) for name in ("area", "area_error")}
-        probability = getattr(hole, "probability", None)
         properties: JsonObject = {
             "kind": "hole",
             "number": number,
             "component": hole.component,
             **sizes,
-            **({} if probability is None else {"probability": probability}),
+            "probability": hole.probability,
             "points": hole.outline.tolist(),
         }
         rings = _rings(hole.outline_xy, [], canvas, hole.component) if hole.centre is not None else None

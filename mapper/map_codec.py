@@ -12,8 +12,8 @@ _ARRAYS = {"<f8": np.float64, "<i8": np.int64, "|b1": np.bool_}
 
 
 def encode_map(result: MapResult) -> bytes:
-    """Return a map as MessagePack, without the distances between its points: they are most of it, and nobody draws them."""
-    components = tuple(replace(part, distances=np.zeros((0, 0))) for part in result.components)
+    """Return a map as MessagePack, without the distances between its points and landmarks: most of it, and nobody draws them."""
+    components = tuple(replace(part, distances=np.zeros((0, 0)), places=None) for part in result.components)
     return msgspec.msgpack.encode(replace(result, components=components), enc_hook=_encode_array)
 
 

@@ -1,32 +1,58 @@
-"""``biobot-mapper merge``: several recordings, each a CSV file or the directory of a run, as one map."""
+"""``biobot-mapper merge``: several recordings, each a CSV file or the directory of a run, and finished maps, as one map."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
 from firmware_protocol.units import NS_PER_S
+from mapper.config import RecipeConfig, make_recipe
 from mapper.encounter_csv import read_encounters, read_modes
 from mapper.errors import OutOfMemoryError, TooFewEncountersError
 from mapper.kernels import choose_kernels
-from mapper.pipeline import MIN_ENCOUNTERS, compute_map
+from mapper.map_file import merging_facts, read_map_file, take_map
+from mapper.pipeline import MIN_ENCOUNTERS, compute_map, join_finished_maps
 from mapper.pooling import Recording, count_shared_landmarks, pool_recordings, shift_recording
-from mapper.report import JsonObject, JsonValue
-from mapper.types import EncounterTable, MapResult, ModeSpell, Recipe
+from mapper.report import JsonObject, JsonValue, to_json_object
+from mapper.types import EncounterTable, MapResult, Method, MetricKind, ModeSpell, Recipe
 from mapper.window import absent_biobots, stationary_spells
 
 
 def merge(args: argparse.Namespace, recipe: Recipe) -> tuple[MapResult, JsonObject]:
     """Make the one map, and say what it was made of, for its document.
 
+    Encounters are put into one table and mapped as one recording; finished maps are joined by what they share, and that map with them.
+
     Raises
     ------
     ConfigurationError
         The flags do not fit the inputs.
     MapError
-        A file cannot be used, or there is too little to map.
+        A file cannot be used, there is too little to map, or maps were made in different ways.
     """
+    files: list[Path] = [path for path in args.inputs if _is_map(path)]
+    maps = [read_map_file(path) for path in files]
     recordings = _read_recordings(args)
+    result, facts = _merge_recordings(recordings, args, recipe) if recordings else (None, {})
+    facts["maps"] = [str(path) for path in files]
+    if maps:
+        own = maps[0]
+        by_maps = make_recipe(RecipeConfig(method=Method(own.method), metric=MetricKind(own.metric), speed_mps=own.speed_mps))
+        warnings = () if result is None else result.warnings
+        if result is not None:
+            maps.append(take_map({**to_json_object(result), **merging_facts(result)}, name="the recordings"))
+        result = join_finished_maps(maps, by_maps)
+        result = replace(result, warnings=(*warnings, *result.warnings))
+    assert result is not None
+    return result, {"merged": facts}
+
+
+def _is_map(path: Path) -> bool:
+    return path.suffix.lower() == ".json" and not path.is_dir()
+
+
+def _merge_recordings(recordings: Sequence[Recording], args: argparse.Namespace, recipe: Recipe) -> tuple[MapResult, JsonObject]:
     pool = pool_recordings(recordings)
     if len(pool.table) < MIN_ENCOUNTERS:
         raise TooFewEncountersError(n_encounters=len(pool.table), minimum=MIN_ENCOUNTERS, where=", ".join(map(str, args.inputs)))
@@ -51,14 +77,12 @@ def merge(args: argparse.Namespace, recipe: Recipe) -> tuple[MapResult, JsonObje
         }
         for recording in recordings
     ]
-    facts: JsonObject = {
-        "merged": {"inputs": inputs, "n_repeated": pool.n_repeated, "n_shared_landmarks": count_shared_landmarks(recordings)}
-    }
+    facts: JsonObject = {"inputs": inputs, "n_repeated": pool.n_repeated, "n_shared_landmarks": count_shared_landmarks(recordings)}
     return replace(result, warnings=(*warnings, *result.warnings)), facts
 
 
 def _read_recordings(args: argparse.Namespace) -> list[Recording]:
-    inputs: list[Path] = args.inputs
+    inputs = [path for path in args.inputs if not _is_map(path)]
     modes: list[Path] = args.modes
     shifts: tuple[float, ...] = args.shift_s or (0.0,) * len(inputs)
     files = [path for path in inputs if not path.is_dir()]
@@ -69,7 +93,7 @@ def _read_recordings(args: argparse.Namespace) -> list[Recording]:
             "or directories with encounters.csv and modes.csv"
         )
     if len(shifts) != len(inputs):
-        problems.append(f"--shift-s has {len(shifts)} values for {len(inputs)} inputs; give one for each, in the same order")
+        problems.append(f"--shift-s has {len(shifts)} values for {len(inputs)} recordings; give one for each, in the same order")
     if problems:
         raise ConfigurationError(problems)
     left = iter(modes)

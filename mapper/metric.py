@@ -59,7 +59,7 @@ def distances_to(metric: Metric, vertices: IntArray, points: IntArray) -> FloatA
         case ProfileMetric(profiles=profiles, norm=norm):
             rows = [np.abs(profiles[points] - profiles[vertex]) for vertex in vertices]
             found = [row.max(axis=1) if norm is ProfileNorm.MAX else np.sqrt((row**2).mean(axis=1)) for row in rows]
-            return np.array(found).reshape(-1, len(points))
+            return np.array(found).reshape(len(vertices), len(points))
 
 
 def times_to(graph: EncounterGraph, references: IntArray) -> FloatArray:

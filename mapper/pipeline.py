@@ -12,8 +12,10 @@ from mapper.component_map import MIN_LANDMARKS, PlacedComponent, draw_component,
 from mapper.confidence import Evidence, MapAgain, add_verdict, gather_evidence, judge_components, load_models
 from mapper.encounter_graph import Components, build_components
 from mapper.errors import TooFewEncountersError
-from mapper.kernels import Kernels
+from mapper.joined_map import check_alike, join_maps
+from mapper.kernels import Kernels, choose_kernels
 from mapper.landmark_stands import Stands, find_stands, make_landmarks
+from mapper.map_file import MapFile
 from mapper.types import (
     TICKS_PER_S,
     BoolArray,
@@ -27,6 +29,7 @@ from mapper.types import (
     Recipe,
     read_only,
 )
+from mapper.window import make_encounter_table
 
 Progress = Callable[[str, float], None]
 """Called with the stage that begins and the share of the work done so far, in [0, 1]."""
@@ -168,6 +171,7 @@ def _map_components(
                 others=vertex[component == index],
                 ticks_per_length=ticks_per_length,
                 contact=contact,
+                origin_ns=int(table.t_start_ns.min()),
                 begin=begin,
             )
         )
@@ -189,6 +193,7 @@ def _map_components(
             others=np.zeros(0, dtype=np.int64),
             ticks_per_length=ticks_per_length,
             contact=contact,
+            origin_ns=int(table.t_start_ns.min()),
             begin=lambda _stage: None,
         )
 
@@ -203,6 +208,27 @@ def _map_components(
         stands=stands,
         map_again=map_again,
     )
+
+
+def join_finished_maps(maps: Sequence[MapFile], recipe: Recipe, *, kernels: Kernels | None = None) -> MapResult:
+    """Make one map of several finished ones, by the landmarks and encounters that they share; see `mapper.joined_map`.
+
+    Parameters
+    ----------
+    recipe
+        By which the maps were made.
+
+    Raises
+    ------
+    UnlikeMapsError
+        They were not made in one way.
+    """
+    check_alike(maps)
+    rules = recipe.betti_rules or load_trained_rules(recipe.method, recipe.metric).rules
+    placed, points, warnings = join_maps(maps, recipe, rules, kernels=kernels or choose_kernels())
+    table = make_encounter_table(t_start_ns=points[:, 0], t_end_ns=points[:, 0], id1=points[:, 1], id2=points[:, 2])
+    result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(placed), warnings=warnings)
+    return replace(result, n_encounters=sum(part.summary.n_encounters for part in placed))
 
 
 def count_points(n_encounters: int, recipe: Recipe) -> int:

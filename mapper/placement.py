@@ -137,7 +137,7 @@ def _start(middle: FloatArray, references: VertexArray, *, blur: float) -> Float
     placed = _lower_stress(between, embed_in_plane(between).coordinates, blur=blur)
     centred = placed - placed.mean(axis=0)
     squared = ((placed[:, None] - placed[None]) ** 2).sum(axis=2)
-    # Linear in the squared distances: de Silva and Tenenbaum 2004, "Sparse multidimensional scaling using landmark points".
+    # Linear in the squared distances: [dST04].
     left, spread, right = np.linalg.svd(centred, full_matrices=False)
     # References near a line say next to nothing of places beside it: damped, or the error of a distance would be multiplied.
     damped = spread / (spread**2 + (_DAMPING * spread[0]) ** 2)

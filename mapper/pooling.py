@@ -85,8 +85,8 @@ def pool_recordings(recordings: Sequence[Recording]) -> Pool:
     joined = [(start, end, *pair) for pair, told in by_pair.items() for start, end in _join_pair(told, spans)]
     columns = np.array(joined, dtype=np.int64).reshape(-1, 4).T
     table = make_encounter_table(t_start_ns=columns[0], t_end_ns=columns[1], id1=columns[2], id2=columns[3])
-    spells = sorted({spell for recording in recordings for spell in _closed(recording)}, key=_spell_order)
-    return Pool(table=table, spells=tuple(spells), n_repeated=len(rows) - len(table), warnings=tuple(_doubts(recordings)))
+    spells = _join_spells([spell for recording in recordings for spell in _closed(recording)], last_ns=max(end for _, end in spans))
+    return Pool(table=table, spells=spells, n_repeated=len(rows) - len(table), warnings=tuple(_doubts(recordings)))
 
 
 def _join_pair(told: list[tuple[int, int, int]], spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -128,9 +128,26 @@ def _closed(recording: Recording) -> list[ModeSpell]:
     return [replace(spell, t_end_ns=max(last_ns, spell.t_start_ns)) if spell.t_end_ns is None else spell for spell in recording.spells]
 
 
-def _spell_order(spell: ModeSpell) -> tuple[int, int, int, str, str]:
+def _join_spells(spells: Sequence[ModeSpell], *, last_ns: int) -> tuple[ModeSpell, ...]:
+    """Join spells of one biobot, mode and cause that overlap or touch; those that last to the end of all are left open."""
+    alike: defaultdict[tuple[int, str, str], list[ModeSpell]] = defaultdict(list)
+    for spell in spells:
+        alike[spell.node, spell.mode.value, spell.cause.value].append(spell)
+    joined: list[ModeSpell] = []
+    for key in sorted(alike):
+        begin_of_kind = len(joined)
+        for spell in sorted(alike[key], key=_interval):
+            before = joined[-1] if len(joined) > begin_of_kind else None
+            if before is not None and spell.t_start_ns <= _interval(before)[1]:
+                joined[-1] = replace(before, t_end_ns=max(_interval(before)[1], _interval(spell)[1]))
+            else:
+                joined.append(spell)
+    return tuple(replace(spell, t_end_ns=None) if spell.t_end_ns == last_ns else spell for spell in joined)
+
+
+def _interval(spell: ModeSpell) -> tuple[int, int]:
     assert spell.t_end_ns is not None
-    return spell.node, spell.t_start_ns, spell.t_end_ns, str(spell.mode), str(spell.cause)
+    return spell.t_start_ns, spell.t_end_ns
 
 
 def _doubts(recordings: Sequence[Recording]) -> list[str]:

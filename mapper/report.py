@@ -15,6 +15,7 @@ from mapper.types import (
     Landmark,
     MapResult,
     Recipe,
+    Scale,
     Standing,
     StandingSource,
 )
@@ -107,6 +108,7 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
         f"method         {recipe.method}, metric {recipe.metric}",
         f"diameter       {result.diameter:.6g} {unit}",
         f"lost spectrum  {result.lost_spectrum:.1%} of the shape does not fit the plane",
+        *(f"scale          {scale.factor:.3f} of the way walked, give or take {scale.error:.1%}" for scale in _scales(result)),
     ]
     lines += [
         f"hole {number:<9} {_sure(hole)}birth {hole.birth:.6g} {unit}, death {hole.death:.6g} {unit}, component {hole.component}"
@@ -143,6 +145,10 @@ def _named(standing: Standing, names: Mapping[int, str]) -> str:
         return "as the modes say" if standing.source is StandingSource.MODES else "nobody is known to"
     listed = [names.get(node, str(node)) for node in standing.nodes[:_LISTED_NODES]]
     return ", ".join(listed) + (f" and {len(standing.nodes) - _LISTED_NODES} more" if len(standing.nodes) > _LISTED_NODES else "")
+
+
+def _scales(result: MapResult) -> list[Scale]:
+    return [part.scale for part in result.components if part.scale is not None]
 
 
 def _doubts(data: DataVerdict | None) -> list[str]:

@@ -9,6 +9,8 @@ from mapper.types import FloatArray, IntArray
 
 # Entries of the table of third corners that are looked at in one block; keeps it in the processor's cache.
 _BLOCK = 1 << 17
+# Of a map of many points on average: more give millions of triangles, which nobody can look at, and take gigabytes.
+_EDGES_OF_A_POINT = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,6 +61,20 @@ def choose_epsilon(real_loops: FloatArray, other_loops: FloatArray, merges: Floa
         return _largest([*merges, *other_loops[:, 1]])
     last_birth, first_death = float(real_loops[:, 0].max()), float(real_loops[:, 1].min())
     return (last_birth + first_death) / 2 if last_birth < first_death else last_birth
+
+
+def limit_epsilon(distances: FloatArray, epsilon: float) -> float:
+    """Take a smaller scale where more than 20 edges a point would be drawn at this one.
+
+    Parameters
+    ----------
+    distances
+        Shape (m, m), symmetric.
+    """
+    m = len(distances)
+    lengths = distances[np.triu_indices(m, k=1)]
+    last = _EDGES_OF_A_POINT * m
+    return epsilon if last >= len(lengths) else min(epsilon, float(np.partition(lengths, last - 1)[last - 1]))
 
 
 def _largest(values: Sequence[float]) -> float:

@@ -196,6 +196,21 @@ class Scale:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LandmarkPlaces:
+    """The l places of a component where landmarks stood, by which it can be joined to other maps.
+
+    ``node``, ``t_start_ns`` and ``t_end_ns``, shape (l,): who stood there, and from when to when [ns, the clock of the encounters], as far
+    as the record goes. ``to_points``, shape (l, n_points), and ``between``, shape (l, l): distances [unit of the map].
+    """
+
+    node: IntArray
+    t_start_ns: IntArray
+    t_end_ns: IntArray
+    to_points: FloatArray
+    between: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ComponentMap:
     """One connected component of the encounter graph, mapped. Lengths are in the unit of the map.
 
@@ -206,7 +221,7 @@ class ComponentMap:
     ``distances`` between the points, shape (n_points, n_points), in the order of ``MapResult.points``. ``reach``: how far the swarm saw at
     one time, which is the diameter where it did not move on; None in maps of earlier versions. ``scale``: None where lengths are times
     walked, times the speed. The loops of the true diagram are within ``stability_band`` of ``intervals[1]`` (bottleneck distance) in 95 of
-    100 maps; None where nobody knows.
+    100 maps; None where nobody knows. ``places`` is None in maps that were stored, and in joined ones.
     """
 
     n_encounters: int
@@ -223,6 +238,7 @@ class ComponentMap:
     reach: float | None = None
     scale: Scale | None = None
     stability_band: float | None = None
+    places: LandmarkPlaces | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -10,8 +10,8 @@ import numpy as np
 
 from mapper.types import BoolArray, FloatArray, IntArray
 
-# Places within this share of a view's reach are told by one of them; three to six of them cover a view.
-_NET_SHARE = 0.5
+# Places that cover one view, so that any other is within the median distance of one: of 20 landmarks in a square or a disc (own count).
+_PLACES_OF_A_VIEW = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,6 +21,8 @@ class Views:
     reach: float
     number: float
 
+
+_MIN_PLACES = 3
 
 ONE_VIEW = Views(reach=1.0, number=1.0)
 
@@ -42,24 +44,34 @@ def count_views(distances: FloatArray, stands: IntArray) -> Views:
 
     Notes
     -----
-    ``reach`` is the median over the places of the distance to the furthest of those occupied at the same time, over the median of the
-    distance to the furthest of all. ``number`` compares how many places are needed for every other to be within half of that reach: of
-    all, and on average of those occupied at the same time as one.
+    ``reach`` is the median distance of landmarks from those that stood in the middle of their time, over that from all. Each counts the
+    less the longer it stood: one that is left standing for the swarm to find again is seen in many views. ``number`` is how many places
+    it takes for every landmark to be within such a median distance of one, over how many a single view takes.
     """
-    if len(distances) < 3:
+    if len(distances) < _MIN_PLACES:
         return ONE_VIEW
     begins, ends = stands.T
-    at_once: BoolArray = (begins[:, None] <= ends[None, :]) & (begins[None, :] <= ends[:, None])
+    middles = begins + (ends - begins) // 2
+    at_once: BoolArray = (begins[None, :] <= middles[:, None]) & (middles[:, None] <= ends[None, :])
     if at_once.all():
         return ONE_VIEW
-    whole = float(np.median(distances.max(axis=1)))
-    near = float(np.median(np.where(at_once, distances, 0.0).max(axis=1)))
-    if near <= 0.0:
+    weights = 1.0 / np.maximum(ends - begins, 1)
+    others = ~np.eye(len(distances), dtype=bool)
+    whole, near = (_median_distance(distances, weights, pairs & others) for pairs in (np.ones_like(at_once), at_once))
+    if not 0.0 < near < whole:
         return ONE_VIEW
-    radius = _NET_SHARE * near
-    of_one = [_count_net(distances[np.ix_(rows, rows)], radius) for rows in map(np.flatnonzero, at_once)]
-    number = _count_net(distances, radius) / float(np.mean(of_one))
-    return Views(reach=min(1.0, near / whole), number=max(1.0, number))
+    return Views(reach=near / whole, number=max(1.0, _count_net(distances, near) / _PLACES_OF_A_VIEW))
+
+
+def _median_distance(distances: FloatArray, weights: FloatArray, pairs: BoolArray) -> float:
+    """Take the median over the places of each place's weighted median distance to those it is paired with; 0 where nothing is paired."""
+    medians = []
+    for row, paired in zip(distances, pairs, strict=True):
+        if paired.any():
+            order = np.argsort(row[paired], kind="stable")
+            shares = np.cumsum(weights[paired][order])
+            medians.append(row[paired][order][np.searchsorted(shares, shares[-1] / 2.0)])
+    return float(np.median(medians)) if medians else 0.0
 
 
 def _count_net(distances: FloatArray, radius: float) -> int:

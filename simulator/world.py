@@ -249,10 +249,13 @@ class World:
     def positions(self, *, at_s: float | None = None) -> Floats:
         """Return where all biobots are, or were at ``at_s`` [s]: shape (n, 2) [length], rows as in ``ids``."""
         if at_s is not None and at_s != self._now_s:
-            past: Floats = self.positions_at([at_s])[0]
-            return past
-        places: Floats = np.column_stack(to_legs(self._engine.current_legs()).at(self._now_s))
-        return places
+            return np.asarray(self.positions_at([at_s])[0])
+        return np.stack(to_legs(self._engine.current_legs()).at(self._now_s), axis=1)
+
+    def velocities(self) -> Floats:
+        """Return how all biobots move now: shape (n, 2) [length/s], 0 for one that stands; rows as in ``ids``."""
+        legs = to_legs(self._engine.current_legs())
+        return np.stack([legs.vx, legs.vy], axis=1)
 
     def positions_at(self, t_s: Sequence[float] | Floats) -> Floats:
         """Return where all biobots were at each of some instants: shape (k, n, 2) [length]. Raises TimeError."""

@@ -20,7 +20,7 @@ from studies.errors import StudyError
 from studies.hole_runs import HELD_OUT_SEED, SWARMS, HoleRun, MatchedHole, ObstacleForm
 from studies.train_hole_sizes import collect
 
-DEFAULT_RUNS = {"paper-units": 150, "paper-units, three times as long": 75, "paper-50cm": 45, "hisser-field": 200}
+DEFAULT_RUNS = {"paper-units": 60, "paper-units, three times as long": 30, "paper-50cm": 15, "hisser-field": 120}
 _HEAD = "swarm                             form       holes     perimeter               area"
 _COLUMNS = "                                                    bias   rms  1 err 2 err    bias   rms  1 err 2 err"
 
@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m studies.hole_sizes", description=__doc__)
     parser.add_argument("--method", type=Method, choices=list(Method), default=Method.DEFAULT, help="(default: %(default)s)")
     parser.add_argument("--swarm", choices=list(SWARMS), action="append", help="may be repeated (default: all)")
-    parser.add_argument("--runs", type=int, help="runs of each swarm (default: 45 to 200)")
+    parser.add_argument("--runs", type=int, help="runs of each swarm (default: 15 to 120)")
     parser.add_argument("--seed", type=int, default=HELD_OUT_SEED, help="first seed; training takes those from 0 on (default: %(default)s)")
     add_flags(parser)
     options = parser.parse_args(arguments)

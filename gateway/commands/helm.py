@@ -107,7 +107,7 @@ def follow_script(helm: Helm, steps: list[Step]) -> int:
     Returns
     -------
     int
-        How many steps the biobot did not confirm: refused, failed, or nobody knows. Those that an interruption left out are none of them.
+        How many steps the biobot did not confirm: refused, failed, or nobody knows. What an interruption cut short or left out is none.
     """
     is_interrupted = helm.interrupted.is_set
     n_undone = 0
@@ -117,7 +117,8 @@ def follow_script(helm: Helm, steps: list[Step]) -> int:
         begun_s = time.monotonic()
         helm.send(step.action, at_least_s=step.wait_s + 1.0)
         helm.wait(_STOP_S, until=lambda: helm.steering.has_ended or is_interrupted())
-        n_undone += not helm.steering.is_confirmed
+        is_cut_short = is_interrupted() and not helm.steering.has_ended
+        n_undone += not (helm.steering.is_confirmed or is_cut_short)
         helm.wait(step.wait_s - (time.monotonic() - begun_s), until=is_interrupted)
     return n_undone
 

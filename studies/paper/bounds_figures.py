@@ -28,7 +28,8 @@ def draw_inflation(grid: Grid, *, title: str) -> "Figure":
             row[k].set(title=f"{label} over pairs of landmarks", xlabel=_axis_name(moving_name), ylabel="lambda_3", xticks=_values(grid, k))
             row[k].axhline(0.0, color="black", linewidth=0.6)
             row[k].grid(visible=True, alpha=0.3)
-            row[k].legend()
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower left", ncols=2, frameon=False)
+    figure.legend(*axes[0][1].get_legend_handles_labels(), loc="outside lower right", ncols=2, frameon=False)
     figure.suptitle(f"{title}; mean and quartiles")
     return figure
 
@@ -47,6 +48,7 @@ def draw_bottlenecks(grid: Grid, *, title: str) -> "Figure":
                 xlabel=_axis_name(moving_name),
                 ylabel="d_B and bounds [1/50 of the side]",
                 yscale="log",
+                ylim=drawing.whole_decades(row[k].dataLim.intervaly),
                 xticks=_values(grid, k),
             )
             row[k].grid(visible=True, which="both", alpha=0.25)

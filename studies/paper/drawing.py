@@ -131,3 +131,9 @@ def draw_spread(
     spread = np.maximum(np.stack([means - low, high - means]), 0.0)
     style = "--" if dashed else "-"
     axes.errorbar(x, means, yerr=spread, color=colour, linestyle=style, marker="o", markersize=4, linewidth=1.2, capsize=2, label=label)
+
+
+def whole_decades(values: Floats) -> tuple[float, float]:
+    """Return limits of a logarithmic axis for positive values that leave labels to powers of ten, which then do not overlap."""
+    low, high = np.floor(np.log10([np.min(values), np.max(values)]))
+    return float(10.0**low), float(10.0 ** (high + 1.0))

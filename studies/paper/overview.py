@@ -20,7 +20,7 @@ class Line:
 
 def _units(summary: Summary) -> str:
     first, last = summary["table"][0], summary["table"][-1]
-    return f"{last['encounters']:.1f} encounters a run in {last['side_m']:g} m; {first['encounters']:,.0f} in {first['side_m']:g} m"
+    return f"{last['encounters']:.2f} encounters a run in {last['side_m']:g} m; {first['encounters']:,.0f} in {first['side_m']:g} m"
 
 
 def _bottleneck(summary: Summary) -> str:
@@ -200,7 +200,8 @@ LINES = (
         experiment="distances",
         reported="closer between landmarks than between encounters; d_B(PD(M), PD(E)) = 2.938, less than to the landmarks; delta_l = 7.27",
         here=_distances,
-        why="one run is shown there, means of 20 here; PD(M) is of 400 places",
+        why="agrees but for d_B: one run is shown there, means of 20 here; 9.5 is half the length of the hole's interval in PD(M), "
+        "what d_B is where no interval answers for it",
     ),
     Line(
         what="Theorems 1 and 2, Corollary 1",
@@ -214,14 +215,15 @@ LINES = (
         experiment="bounds",
         reported="falls with N_m steadily, and much less with N_l",
         here=_inflation,
-        why="the same trend with N_m; the largest over all pairs grows with N_l, because close pairs come in whose distance is near r_d",
+        why="the same trend with N_m; with N_l the median falls, but not the largest over all pairs: close pairs come in, a few r_d apart",
     ),
     Line(
         what="d_B and the bounds of Theorem 3",
         experiment="bounds",
         reported="measured below the bounds; d_B(PD(M), PD(E)) in general smaller than d_B(PD(M), PD(L))",
         here=_bounds,
-        why="the bounds are many times too wide to be broken often; a net of landmarks is coarse but in place, encounters hang above it",
+        why="the bounds are several times the distances, so that even unsound ones hold; encounters do worse than landmarks by the time it "
+        "takes a biobot to meet something, which maxmin looks for; where no interval answers for the hole, d_B is half its length",
     ),
 )
 

@@ -115,13 +115,12 @@ def _draw_shares(axes: "Axes", ratios: dict[str, list[float]], *, title: str) ->
     for name, values in ratios.items():
         ordered = np.sort(values)
         axes.step(ordered, np.arange(1, len(ordered) + 1) / max(1, len(ordered)), where="post", color=_COLOURS[name], label=name)
-    powers = np.log10(np.concatenate([values for values in ratios.values() if values] or [[1.0]]))
-    limits = (10.0 ** np.floor(powers.min()), 10.0 ** (np.floor(powers.max()) + 1.0))
+    limits = drawing.whole_decades(np.concatenate([values for values in ratios.values() if values] or [[1.0]]))
     counts = ", ".join(str(len(values)) for values in ratios.values())
     axes.set(
         title=f"{title}\n(runs: {counts})",
         xscale="log",
-        xlim=limits,  # whole ones, or the ticks between would have labels, too
+        xlim=limits,
         xlabel="signal-to-noise ratio of a run",
         ylabel="share of runs at or below it",
         ylim=(0, 1.02),

@@ -1,6 +1,7 @@
 """``biobot-mapper merge`` as a person and a program see it."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +44,9 @@ def _status(arguments: list[str]) -> object:
 
 
 def _same(document: dict[str, Any], expected: dict[str, Any]) -> None:
-    """Everything that a map says is the same; a merged one says besides what it was made of."""
-    assert {name: document[name] for name in expected if name in document and name != "merged"} == {
-        name: value for name, value in expected.items() if name in document and name != "merged"
-    }
+    """All that two maps say of the place is the same; ``run`` says besides how it read the file, and ``merge`` what it merged."""
+    names = (expected.keys() & document.keys()) - {"merged", "stationary", "assumptions"}
+    assert {name: document[name] for name in names} == {name: expected[name] for name in names}
 
 
 def test_windows_of_a_recording_merge_to_the_map_of_the_whole(ring: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -95,7 +95,7 @@ def test_recordings_without_a_common_biobot_stay_apart_and_that_is_said(
     ("arguments", "status", "told"),
     [
         (["merge"], 2, "give recordings or maps"),
-        (["merge", "first", "second", "--shift-s", "1"], 2, "--shift-s has 1 values for 2 inputs"),
+        (["merge", "first", "second", "--shift-s", "1"], 2, "--shift-s has 1 values for 2 recordings"),
         (["merge", "first", "second", "--shift-s", "1,x"], 2, "'1,x'; wanted seconds for each input"),
         (["merge", "first/encounters.csv", "second/encounters.csv", "--modes", "first/modes.csv"], 2, "--modes is given 1 times for 2"),
         (["merge", "first", "nowhere"], 1, "nowhere: cannot be read"),
@@ -109,4 +109,71 @@ def test_what_is_wrong_is_said(
     monkeypatch.chdir(ring)
     (ring / "empty.csv").write_text(HEADER)
     assert _status(arguments) == status
+    assert told in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def maps(ring: Path) -> Path:
+    """The folder of the ring, with a map of each of its directories beside it."""
+    for name in ("whole", "first", "second"):
+        own = ring / name
+        assert main(["run", str(own / "encounters.csv"), "--modes", str(own / "modes.csv"), "--json", str(ring / f"{name}.json")]) == 0
+    return ring
+
+
+def test_finished_maps_of_windows_join_to_one_with_the_hole_of_the_whole(maps: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = json.loads((maps / "whole.json").read_text())
+    joined = _map("merge", maps / "first.json", maps / "second.json", capsys=capsys)
+    assert joined["betti_numbers"] == whole["betti_numbers"] == [1, 1]
+    assert joined["diameter"] == pytest.approx(whole["diameter"], rel=0.1)
+    assert joined["n_components"] == 1
+    assert joined["holes"][0]["death"] == pytest.approx(whole["holes"][0]["death"], rel=0.15)
+    again = _map("merge", maps / "second.json", maps / "first.json", capsys=capsys)
+    _same({**again, "warnings": []}, {**joined, "warnings": []})
+
+
+def test_a_map_joined_with_itself_has_its_points_and_its_diagram(maps: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = json.loads((maps / "whole.json").read_text())
+    twice = _map("merge", maps / "whole.json", maps / "whole.json", capsys=capsys)
+    assert len(twice["points"]) == len(whole["points"])
+    for dimension in ("0", "1"):
+        deaths = [[death for _, death in document["intervals"][dimension] if death is not None] for document in (twice, whole)]
+        assert sum(deaths[0]) == pytest.approx(sum(deaths[1]), rel=1e-3)
+    assert twice["betti_numbers"] == whole["betti_numbers"]
+
+
+def test_a_map_and_a_recording_join(maps: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    joined = _map("merge", maps / "first.json", maps / "second", capsys=capsys)
+    assert joined["betti_numbers"] == [1, 1]
+    assert joined["merged"]["maps"] == [str(maps / "first.json")]
+    assert [one["name"] for one in joined["merged"]["inputs"]] == [str(maps / "second")]
+
+
+def test_maps_that_share_nothing_are_kept_apart(maps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = json.loads((maps / "second.json").read_text())
+    for part in other["merging"]:
+        part["points"] = [[t, one + 5000, two + 5000] for t, one, two in part["points"]]
+        part["stands"] = [[node + 5000, begin, end] for node, begin, end in part["stands"]]
+    (tmp_path / "other.json").write_text(json.dumps(other))
+    joined = _map("merge", maps / "first.json", tmp_path / "other.json", capsys=capsys)
+    assert joined["n_components"] == 2
+    assert "2 groups that share neither" in joined["warnings"][0]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda document: document.pop("merging"), "the map does not tell its distances"),
+        (lambda document: document["merging"][0]["distances"].pop(), "distances; wanted"),
+        (lambda document: document["merging"][0].pop("points"), "no map of this mapper"),
+        (lambda document: document["parameters"].update(speed_mps=2.0), "the maps differ in speed_mps: 2.0, None"),
+    ],
+)
+def test_what_is_wrong_with_a_map_is_said(
+    change: Callable[[dict[str, Any]], object], told: str, maps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = json.loads((maps / "second.json").read_text())
+    change(document)
+    (tmp_path / "wrong.json").write_text(json.dumps(document))
+    assert main(["merge", str(maps / "first.json"), str(tmp_path / "wrong.json")]) == 1
     assert told in capsys.readouterr().err

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.contract.records import Cause, Mode
@@ -47,6 +47,7 @@ def test_a_recording_pooled_with_itself_is_itself(rows: list[Row]) -> None:
     assert pool.n_repeated == len(rows)
 
 
+@settings(max_examples=30)
 @given(meetings(), meetings(), meetings(), mode_spells, st.permutations([0, 1, 2]))
 def test_the_order_of_recordings_does_not_matter(
     first: list[Row], second: list[Row], third: list[Row], spells: list[ModeSpell], order: list[int]
@@ -90,6 +91,7 @@ def test_a_stand_that_lasts_ends_with_its_recording() -> None:
     first = _recording([(0, 5, 1, 2), (8, 10, 1, 3)], [_stand(1, 0, None)])
     second = _recording([(20, 25, 1, 2)], name="b")
     assert pool_recordings([first, second]).spells == (_stand(1, 0, 10),)
+    assert pool_recordings([first, replace(second, spells=(_stand(1, 9, None),))]).spells == (_stand(1, 0, None),)
     assert count_shared_landmarks([first, second]) == 0
     assert count_shared_landmarks([first, replace(second, spells=(_stand(1, 10, 30),))]) == 1
 
@@ -100,6 +102,7 @@ def test_common_time_and_biobots_without_a_common_encounter_are_told_of() -> Non
     assert pool_recordings([one, replace(other, table=table_of([(4 * NS, 12 * NS, 5, 6)]))]).warnings == ()
 
 
+@settings(max_examples=30)
 @given(meetings(), mode_spells, st.integers(-(10**6), 10**6))
 def test_shifts_there_and_back_change_nothing(rows: list[Row], spells: list[ModeSpell], shift_ns: int) -> None:
     one = _recording(rows, spells)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapper.types import FloatArray, IntArray
@@ -20,11 +20,13 @@ def _moving(n: int, at_once: int) -> IntArray:
     return np.array([(k, k + at_once - 1) for k in range(n)])
 
 
+@settings(max_examples=20)
 @given(st.integers(0, 30), st.integers(0, 99))
 def test_landmarks_that_all_stood_at_one_time_are_one_view(n: int, end: int) -> None:
     assert count_views(_row(n), np.tile([0, end], (n, 1))) is ONE_VIEW
 
 
+@settings(max_examples=20)
 @given(st.integers(4, 12), st.integers(2, 10))
 def test_a_swarm_that_moves_on_sees_as_many_views_as_it_goes_lengths(width: int, lengths: int) -> None:
     """In a row of ``width * lengths`` places of which ``width`` to either side stand with one. At the ends half of them: hence the room."""
@@ -34,6 +36,7 @@ def test_a_swarm_that_moves_on_sees_as_many_views_as_it_goes_lengths(width: int,
     assert 0.5 / (2 * lengths) <= views.reach <= 2.5 / (2 * lengths)
 
 
+@settings(max_examples=20)
 @given(st.integers(3, 12), st.integers(1, 5), st.floats(0.1, 10), st.integers(-50, 50))
 def test_neither_the_unit_of_length_nor_the_zero_of_time_matters(n: int, at_once: int, scale: float, zero: int) -> None:
     one, other = count_views(_row(n), _moving(n, at_once)), count_views(scale * _row(n), _moving(n, at_once) + zero)
