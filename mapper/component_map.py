@@ -19,11 +19,7 @@ from mapper.placement import Placement, place_in_plane, placed_profiles
 from mapper.placing import place_among
 from mapper.profiles import ProfileBracket, bracket_profiles, keep_well_bracketed, smooth_profiles, thin_out
 from mapper.scale import estimate_scale, gather_evidence, load_scale_law
-<<<<<<< HEAD
-from mapper.skeleton import NO_SKELETON, Skeleton, build_skeleton, choose_epsilon
-=======
-from mapper.skeleton import Skeleton, build_skeleton, choose_epsilon, limit_epsilon
->>>>>>> main
+from mapper.skeleton import NO_SKELETON, Skeleton, build_skeleton, choose_epsilon, limit_epsilon
 from mapper.subsampling import Subsample, stand_for, subsample_maxmin
 from mapper.types import (
     BettiRule,
@@ -72,7 +68,7 @@ class PlacedComponent:
     """A component's map before it is put beside the others; point indices count from 0 within it.
 
     ``is_real`` says which loops of ``summary.intervals[1]`` the rule calls holes. ``holes`` and ``skeleton`` are empty, and
-    ``summary.epsilon`` is 0, until `draw_component` has drawn it.
+    ``summary.epsilon`` is 0, until `draw_component` has drawn it. ``n_views`` are as of `Views`.
     ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2), and
     ``others``, shape (k, 2), are the places of the further vertices asked for. ``n_anchors`` encounters served as
     references because landmarks were too few. ``doubt`` [unit of lengths], shape (m,), is half the gap between the bounds of each point's
@@ -83,6 +79,7 @@ class PlacedComponent:
 
     summary: ComponentMap
     is_real: BoolArray
+    n_views: float
     encounters: IntArray
     coordinates: FloatArray
     others: FloatArray
@@ -165,27 +162,6 @@ def map_component(
         vertices = stand_for(sample, compared.metric, compared.candidates, doubt=places.doubt, xy=places.xy)
         coordinates = turn_to_axes(places.xy[vertices] / ticks_per_length)
     merges, loops = diagram.intervals
-<<<<<<< HEAD
-=======
-    drawn = np.flatnonzero(real[1]) if is_drawn else np.zeros(0, dtype=np.int64)
-    size_model = load_size_model(recipe.method, recipe.metric)
-    holes = tuple(
-        shape_hole(
-            Hole(component=index, birth=birth, death=death, outline=outline),
-            coordinates,
-            lengths,
-            n_used=n_used,
-            model=size_model,
-        )
-        for (birth, death), outline in zip(loops[drawn].tolist(), outline_holes(lengths, diagram, drawn), strict=True)
-    )
-    if recipe.epsilon_share is None:
-        epsilon = choose_epsilon(loops[real[1]], loops[~real[1]], merges[np.isfinite(merges[:, 1]), 1])
-    else:
-        epsilon = recipe.epsilon_share * diameter
-    if compared.views.number > 1:
-        epsilon = limit_epsilon(lengths, epsilon)
->>>>>>> main
     return PlacedComponent(
         summary=ComponentMap(
             n_encounters=graph.n_encounters,
@@ -204,6 +180,7 @@ def map_component(
             scale=scale,
         ),
         is_real=real[1],
+        n_views=compared.views.number,
         encounters=graph.first_encounter[vertices].astype(np.int64),
         coordinates=coordinates,
         others=_place_others(compared, others, sample, vertices, coordinates, ticks_per_length=ticks_per_length),
@@ -218,7 +195,6 @@ def map_component(
     )
 
 
-<<<<<<< HEAD
 def draw_component(placed: PlacedComponent, recipe: Recipe, *, index: int, is_hole: BoolArray) -> PlacedComponent:
     """Draw what is looked at: outlines and shapes of the loops that are holes, and the complex at the scale that shows them.
 
@@ -247,12 +223,16 @@ def draw_component(placed: PlacedComponent, recipe: Recipe, *, index: int, is_ho
         epsilon = choose_epsilon(loops[is_hole], loops[~is_hole], merges[np.isfinite(merges[:, 1]), 1])
     else:
         epsilon = recipe.epsilon_share * summary.diameter
+    if placed.n_views > 1:
+        epsilon = limit_epsilon(summary.distances, epsilon)
     return replace(
         placed,
         summary=replace(summary, epsilon=epsilon, betti_numbers=(summary.betti_numbers[0], len(rows))),
         holes=holes,
         skeleton=build_skeleton(summary.distances, epsilon=epsilon),
-=======
+    )
+
+
 def _locate_landmarks(
     graph: EncounterGraph, metric: Metric, points: IntArray, *, origin_ns: int, ticks_per_length: float
 ) -> LandmarkPlaces:
@@ -263,7 +243,6 @@ def _locate_landmarks(
         t_end_ns=read_only(origin_ns + end // 2),
         to_points=read_only(distances_to(metric, graph.landmarks, points) / ticks_per_length),
         between=read_only(distances_to(metric, graph.landmarks, graph.landmarks) / ticks_per_length),
->>>>>>> main
     )
 
 

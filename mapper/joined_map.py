@@ -166,6 +166,8 @@ def _map_group(
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
         ),
+        is_real=real[1],
+        n_views=float(len(parts)),
         encounters=glued.objects,
         coordinates=embedding.coordinates,
         others=np.zeros((0, 2)),

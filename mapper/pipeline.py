@@ -227,7 +227,7 @@ def join_finished_maps(maps: Sequence[MapFile], recipe: Recipe, *, kernels: Kern
     rules = recipe.betti_rules or load_trained_rules(recipe.method, recipe.metric).rules
     placed, points, warnings = join_maps(maps, recipe, rules, kernels=kernels or choose_kernels())
     table = make_encounter_table(t_start_ns=points[:, 0], t_end_ns=points[:, 0], id1=points[:, 1], id2=points[:, 2])
-    result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(placed), warnings=warnings)
+    result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(placed), warnings=tuple(warnings))
     return replace(result, n_encounters=sum(part.summary.n_encounters for part in placed))
 
 
