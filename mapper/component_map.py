@@ -68,7 +68,7 @@ class PlacedComponent:
     """A component's map before it is put beside the others; point indices count from 0 within it.
 
     ``is_real`` says which loops of ``summary.intervals[1]`` the rule calls holes. ``holes`` and ``skeleton`` are empty, and
-    ``summary.epsilon`` is 0, until `draw_component` has drawn it.
+    ``summary.epsilon`` is 0, until `draw_component` has drawn it. ``n_views`` are as of `Views`.
     ``encounters``, shape (m,), are rows of the encounter table; ``coordinates`` has shape (m, 2), and
     ``others``, shape (k, 2), are the places of the further vertices asked for. ``n_anchors`` encounters served as
     references because landmarks were too few. ``doubt`` [unit of lengths], shape (m,), is half the gap between the bounds of each point's
@@ -79,6 +79,7 @@ class PlacedComponent:
 
     summary: ComponentMap
     is_real: BoolArray
+    n_views: float
     encounters: IntArray
     coordinates: FloatArray
     others: FloatArray
@@ -179,6 +180,7 @@ def map_component(
             scale=scale,
         ),
         is_real=real[1],
+        n_views=compared.views.number,
         encounters=graph.first_encounter[vertices].astype(np.int64),
         coordinates=coordinates,
         others=_place_others(compared, others, sample, vertices, coordinates, ticks_per_length=ticks_per_length),
@@ -190,19 +192,6 @@ def map_component(
         landmark_encounters=landmark_encounters,
         n_anchors=n_anchors,
         warnings=warnings,
-    )
-
-
-def _locate_landmarks(
-    graph: EncounterGraph, metric: Metric, points: IntArray, *, origin_ns: int, ticks_per_length: float
-) -> LandmarkPlaces:
-    node, begin, end = graph.stands.T
-    return LandmarkPlaces(
-        node=read_only(node.copy()),
-        t_start_ns=read_only(origin_ns + begin // 2),
-        t_end_ns=read_only(origin_ns + end // 2),
-        to_points=read_only(distances_to(metric, graph.landmarks, points) / ticks_per_length),
-        between=read_only(distances_to(metric, graph.landmarks, graph.landmarks) / ticks_per_length),
     )
 
 
@@ -234,13 +223,26 @@ def draw_component(placed: PlacedComponent, recipe: Recipe, *, index: int, is_ho
         epsilon = choose_epsilon(loops[is_hole], loops[~is_hole], merges[np.isfinite(merges[:, 1]), 1])
     else:
         epsilon = recipe.epsilon_share * summary.diameter
-    if summary.reach is not None and summary.reach < summary.diameter:  # several views
+    if placed.n_views > 1:
         epsilon = limit_epsilon(summary.distances, epsilon)
     return replace(
         placed,
         summary=replace(summary, epsilon=epsilon, betti_numbers=(summary.betti_numbers[0], len(rows))),
         holes=holes,
         skeleton=build_skeleton(summary.distances, epsilon=epsilon),
+    )
+
+
+def _locate_landmarks(
+    graph: EncounterGraph, metric: Metric, points: IntArray, *, origin_ns: int, ticks_per_length: float
+) -> LandmarkPlaces:
+    node, begin, end = graph.stands.T
+    return LandmarkPlaces(
+        node=read_only(node.copy()),
+        t_start_ns=read_only(origin_ns + begin // 2),
+        t_end_ns=read_only(origin_ns + end // 2),
+        to_points=read_only(distances_to(metric, graph.landmarks, points) / ticks_per_length),
+        between=read_only(distances_to(metric, graph.landmarks, graph.landmarks) / ticks_per_length),
     )
 
 

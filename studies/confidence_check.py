@@ -15,7 +15,7 @@ import numpy as np
 
 from mapper.confidence import Models, load_models
 from mapper.confidence.assess import LEAST_PROBABILITY, WELL_SEEN, choose_holes, tell_count
-from mapper.confidence.counting import count_holes
+from mapper.confidence.counting import count_holes, is_telling
 from mapper.confidence.sufficiency import Facts, judge_data
 from mapper.types import BoolArray, FloatArray, Method, MetricKind
 from studies.cases.flags import add_flags, read_flags
@@ -67,15 +67,16 @@ def tell(models: Models, witness: Witness) -> Told:
     run = {name: np.array(value) for name, value in witness.run.items()}
     chance = models.loop.probability(loops)
     every = np.concatenate([chance, other_loop_probabilities(models.loop, witness)])
-    n_points = len(witness.is_right)
-    count = count_holes(models.count, number_columns(witness, every), prior=models.prior, n_points=n_points)
-    chosen = choose_holes(every, count, n_points=n_points)
+    n_landmarks = round(float(np.expm1(run["landmarks"])))
+    tells = is_telling(n_points=len(witness.is_right), n_landmarks=n_landmarks)
+    count = count_holes(models.count, number_columns(witness, every), prior=models.prior, is_telling=tells)
+    chosen = choose_holes(every, count, is_telling=tells)
     is_called = chosen[: len(chance)]
     is_told = is_called | (chance >= LEAST_PROBABILITY)
     well_seen = models.point.probability({name: np.array(values) for name, values in witness.points.items()}) >= WELL_SEEN
     facts = Facts(
         encounters_each=2.0 * float(np.exp(run["encounters a biobot"])),
-        n_landmarks=round(float(np.expm1(run["landmarks"]))),
+        n_landmarks=n_landmarks,
         n_components=1,
         apart=1.0 - float(np.exp(run["encounters"])) / witness.n_encounters,
         count=tell_count(int(chosen.sum()), count),

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
 from mapper.component_map import PlacedComponent
-from mapper.confidence.counting import LEAST_POINTS, count_holes, describe_numbers
+from mapper.confidence.counting import count_holes, describe_numbers, is_telling
 from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track, mean_change, reach_of
 from mapper.confidence.model import Models
 from mapper.confidence.sufficiency import Facts, judge_data
@@ -67,7 +67,7 @@ def judge_components(models: Models, gathered: Sequence[Evidence], table: Encoun
     """
     chances = tuple(loop_probabilities(models, one) for one in gathered)
     distribution = count_distribution(models, gathered, chances)
-    chosen = choose_holes(np.concatenate(chances), distribution, n_points=gathered[0].part.n_points)
+    chosen = choose_holes(np.concatenate(chances), distribution, is_telling=_is_telling(gathered))
     ends = np.cumsum([len(some) for some in chances])[:-1]
     is_hole = tuple(
         np.pad(some, (0, len(one.part.intervals[1]) - len(some))) for some, one in zip(np.split(chosen, ends), gathered, strict=True)
@@ -106,10 +106,10 @@ def add_verdict(result: MapResult, placed: Sequence[PlacedComponent], verdict: V
     )
 
 
-def choose_holes(chances: FloatArray, distribution: FloatArray, *, n_points: int) -> BoolArray:
+def choose_holes(chances: FloatArray, distribution: FloatArray, *, is_telling: bool) -> BoolArray:
     """Say which loops are holes: the likeliest, as many as is most probable, but no more than there are; ties go to the earlier.
 
-    None are where there are too few points for a map.
+    None are where the map tells nothing.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def choose_holes(chances: FloatArray, distribution: FloatArray, *, n_points: int
         Probabilities of 0, 1, 2, ... holes.
     """
     is_hole = np.zeros(len(chances), dtype=bool)
-    number = int(np.argmax(distribution[: len(chances) + 1])) if n_points >= LEAST_POINTS else 0
+    number = int(np.argmax(distribution[: len(chances) + 1])) if is_telling else 0
     is_hole[np.argsort(-chances, kind="stable")[:number]] = True
     return is_hole
 
@@ -181,7 +181,7 @@ def count_distribution(models: Models, gathered: Sequence[Evidence], loops: Sequ
     """Say how likely there are 0, 1, 2, ... holes in all components; of the run, the largest of them tells."""
     counted = sum(one.part.betti_numbers[1] for one in gathered)
     columns = describe_numbers(np.concatenate(loops), counted=counted, replicas=replica_counts(gathered), run=gathered[0].run_columns())
-    return count_holes(models.count, columns, prior=models.prior, n_points=gathered[0].part.n_points)
+    return count_holes(models.count, columns, prior=models.prior, is_telling=_is_telling(gathered))
 
 
 def replica_counts(gathered: Sequence[Evidence]) -> IntArray:
@@ -200,6 +200,10 @@ def stability_band(models: Models, evidence: Evidence) -> float:
 def point_probabilities(models: Models, evidence: Evidence) -> FloatArray:
     """Say of each point how likely its distances are right, shape (n_points,)."""
     return models.point.probability(evidence.point_columns())
+
+
+def _is_telling(gathered: Sequence[Evidence]) -> bool:
+    return is_telling(n_points=gathered[0].part.n_points, n_landmarks=gathered[0].part.n_landmarks)
 
 
 def _sight(placed: PlacedComponent, table: EncounterTable, landmarks: set[NodeId]) -> Sighting:

@@ -11,8 +11,8 @@ from mapper.types import FloatArray, IntArray
 MOST_HOLES: Final = 12
 """Numbers up to this are told of, and up to a few more than the map has loops called real: twice the most in any training run."""
 
-LEAST_POINTS: Final = 20
-"""A map of fewer points tells nothing of holes: a ring around one, and what is beside it, already takes about as many (own choice)."""
+_LEAST_POINTS: Final = 20
+_LEAST_LANDMARKS: Final = 3
 
 COUNT_FEATURES: Final = (
     "sum of loops",
@@ -29,6 +29,17 @@ COUNT_FEATURES: Final = (
 _ROOM = 6
 _LEAST = 1e-3
 _MOST_ODDS = 5.0
+
+
+def is_telling(*, n_points: int, n_landmarks: int) -> bool:
+    """Say whether a map can tell anything of holes.
+
+    Notes
+    -----
+    A ring of points and what is beside it take about twenty (own choice). Distances to fewer than three landmarks fix no place, and without
+    any a map shows time as much as place: 20 calves without beacons have a loop of three days.
+    """
+    return n_points >= _LEAST_POINTS and n_landmarks >= _LEAST_LANDMARKS
 
 
 def describe_numbers(probabilities: FloatArray, *, counted: int, replicas: IntArray, run: dict[str, FloatArray]) -> dict[str, FloatArray]:
@@ -75,15 +86,17 @@ def describe_numbers(probabilities: FloatArray, *, counted: int, replicas: IntAr
     return columns | {name: np.full(n, float(value)) for name, value in run.items()}
 
 
-def count_holes(model: Model, columns: dict[str, FloatArray], *, prior: Sequence[float], n_points: int) -> FloatArray:
+def count_holes(model: Model, columns: dict[str, FloatArray], *, prior: Sequence[float], is_telling: bool) -> FloatArray:
     """Say how likely each number of holes is, shape (n,): in proportion to the exponential of its score.
 
     Parameters
     ----------
     prior
-        How likely it is before anything is known; all that is told of a map of fewer than ``LEAST_POINTS`` points.
+        How likely each is before anything is known.
+    is_telling
+        The map can tell anything of holes; if not, the prior is all that is known.
     """
-    if n_points < LEAST_POINTS:
+    if not is_telling:
         return np.pad(np.array(prior), (0, len(columns["number"]) - len(prior)))
     score = model.score(columns)
     weights = np.exp(score - score.max())

@@ -41,10 +41,20 @@ def test_every_probability_is_one_and_those_of_all_numbers_sum_to_one() -> None:
     assert result.hole_count.probability == result.hole_count.probabilities[result.hole_count.value]
 
 
+def test_without_landmarks_no_hole_is_claimed() -> None:
+    rows, _ = walk_track(n_landmarks=20, n_walkers=30, duration_s=120, seed=1, is_ring=True)
+    result = compute_map(table_of(rows), (), _RECIPE)
+    assert result.holes == ()
+    assert result.hole_count is not None
+    assert result.hole_count.probability < 0.6
+    assert result.data is not None
+    assert not result.data.is_enough
+
+
 @given(st.lists(st.floats(0.0, 1.0), max_size=8), st.lists(st.floats(0.01, 1.0), min_size=13, max_size=13))
 def test_the_likeliest_loops_are_holes_as_many_as_is_most_probable(chances: list[float], weights: list[float]) -> None:
     distribution = np.array(weights) / sum(weights)
-    chosen = choose_holes(np.array(chances), distribution, n_points=100)
+    chosen = choose_holes(np.array(chances), distribution, is_telling=True)
     assert distribution[chosen.sum()] == max(distribution[: len(chances) + 1])
     assert min([chance for chance, is_hole in zip(chances, chosen, strict=True) if is_hole], default=1.0) >= max(
         [chance for chance, is_hole in zip(chances, chosen, strict=True) if not is_hole], default=0.0
