@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import hatch_build
-from mapper.kernels import Contraction, Stands
+from mapper.kernels import Contraction, Stands, Tension
 from mapper.kernels.binding import SPELL
 from mapper.types import FloatArray, ProfileNorm
 from tests.mapper.graphs import KERNELS
@@ -64,9 +64,14 @@ def _expect(graph: Contraction) -> dict[str, NDArray[np.generic]]:
             f"{norm}.distances": of_norm.distances,
             f"{norm}.radius": np.array([of_norm.cover_radius]),
         }
+    number = np.arange(v)
+    start = np.column_stack([number % 61 * 1000.0, number % 53 * 1000.0])
+    pull = np.where(graph.is_landmark, 10.0, 0.5)
+    tension = Tension(blur=100.0, swerve=0.25, drift=0.125)
+    expected["settled"] = kernels.settle_tracks(graph.links, start, pull, tension=tension, rounds=3, steps=20)
     names = ("first_encounter", "multiplicity", "is_landmark", "component")
     expected |= {name: getattr(graph, name) for name in names}
-    expected |= {f"links.{name}": getattr(graph.links, name) for name in ("sources", "targets", "times")}
+    expected |= {f"links.{name}": getattr(graph.links, name) for name in ("sources", "targets", "times", "before")}
     return expected | {f"rows.{name}": getattr(graph.rows, name) for name in ("starts", "neighbours", "times")}
 
 

@@ -15,6 +15,8 @@ int32_t pick_maxmin(const int64_t *, const int32_t *, const double *, int32_t, i
                     int32_t *, double *, int32_t *, double *);
 int bracket(double *, int64_t, int32_t, const double *, double *);
 int32_t pick_profiles(const double *, int64_t, int32_t, int32_t, int32_t, int64_t *, double *, double *);
+int settle_tracks(int32_t, int64_t, const int32_t *, const int32_t *, const int32_t *, const double *, const double *, const double *, double,
+                  double, double, int32_t, int32_t, double *);
 
 enum { ENCOUNTERS, SPELLS, STANDS, NEIGHBOURS, POINTS, N_SIZES };
 
@@ -59,7 +61,7 @@ int main(int argc, char **argv) {
   graph g = {.vertex_of = make_room(4, n),      .first_encounter = make_room(4, n), .multiplicity = make_room(4, n),
              .is_landmark = make_room(1, n),    .component = make_room(4, n),       .link_from = make_room(4, 2 * n),
              .link_to = make_room(4, 2 * n),    .link_time = make_room(8, 2 * n),   .row_start = make_room(8, n + 1),
-             .neighbour = make_room(4, 4 * n),  .time = make_room(8, 4 * n)};
+             .neighbour = make_room(4, 4 * n),  .time = make_room(8, 4 * n),        .link_before = make_room(4, 2 * n)};
   check(build_graph(read_array("centres", 8, n), read_array("id1", 8, n), read_array("id2", 8, n), (int32_t)n,
                     read_array("still", sizeof(spell), (size_t)sizes[SPELLS]), sizes[SPELLS],
                     read_array("commanded", sizeof(spell), (size_t)sizes[STANDS]), sizes[STANDS], 1, &g));
@@ -71,9 +73,19 @@ int main(int argc, char **argv) {
   write_array("links.sources", g.link_from, 4, n_links);
   write_array("links.targets", g.link_to, 4, n_links);
   write_array("links.times", g.link_time, 8, n_links);
+  write_array("links.before", g.link_before, 4, n_links);
   write_array("rows.starts", g.row_start, 8, v + 1);
   write_array("rows.neighbours", g.neighbour, 4, n_edges);
   write_array("rows.times", g.time, 8, n_edges);
+
+  double *start = make_room(8, 2 * v), *pull = make_room(8, v), *xy = make_room(8, 2 * v);
+  for (size_t i = 0; i < v; i++) {
+    start[2 * i] = (double)(i % 61) * 1000;
+    start[2 * i + 1] = (double)(i % 53) * 1000;
+    pull[i] = g.is_landmark[i] ? 10 : 0.5;
+  }
+  check(settle_tracks(g.n_vertices, g.n_links, g.link_from, g.link_to, g.link_before, g.link_time, pull, start, 100, 0.25, 0.125, 3, 20, xy));
+  write_array("settled", xy, 8, 2 * v);
 
   int32_t *places = make_room(4, v), n_hubs = 0;
   for (int32_t i = 0; i < g.n_vertices; i++)
