@@ -6,16 +6,15 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mapper.betti import judge_intervals
-from mapper.component_map import PlacedComponent
+from mapper.component_map import PlacedComponent, draw_component
 from mapper.embedding import embed_in_plane
 from mapper.errors import UnlikeMapsError
 from mapper.gluing import Sheet, find_flat_joints, glue, group_sheets
 from mapper.kernels import Kernels
 from mapper.map_file import LocalMap, MapFile
-from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
-from mapper.skeleton import build_skeleton, choose_epsilon, limit_epsilon
-from mapper.types import BettiRule, ComponentMap, Hole, IntArray, Recipe, read_only
+from mapper.skeleton import NO_SKELETON
+from mapper.types import BettiRule, ComponentMap, IntArray, Recipe, read_only
 
 # Points of a joined map: more take long, fewer lose small holes.
 _MAX_POINTS = 2000
@@ -143,15 +142,8 @@ def _map_group(
     n_seen = int(np.median([part.n_used for part in parts]))
     real = [judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)]
     merges, loops = diagram.intervals
-    outlines = outline_holes(lengths, diagram, np.flatnonzero(real[1]))
-    if recipe.epsilon_share is None:
-        epsilon = choose_epsilon(loops[real[1]], loops[~real[1]], merges[np.isfinite(merges[:, 1]), 1])
-    else:
-        epsilon = recipe.epsilon_share * diameter
-    if len(parts) > 1:
-        epsilon = limit_epsilon(lengths, epsilon)
     embedding = embed_in_plane(lengths)
-    return PlacedComponent(
+    whole = PlacedComponent(
         summary=ComponentMap(
             n_encounters=sum(part.n_encounters for part in parts),
             n_used=sum(part.n_used for part in parts),
@@ -159,7 +151,7 @@ def _map_group(
             n_landmarks=len(_all_landmarks(sheets)),
             diameter=diameter,
             cover_radius=max(part.cover_radius for part in parts),
-            epsilon=epsilon,
+            epsilon=0.0,
             lost_spectrum=embedding.lost_spectrum,
             distances=read_only(lengths),
             intervals=(read_only(merges), read_only(loops)),
@@ -171,11 +163,8 @@ def _map_group(
         encounters=glued.objects,
         coordinates=embedding.coordinates,
         others=np.zeros((0, 2)),
-        holes=tuple(
-            Hole(component=index, birth=birth, death=death, outline=outline)
-            for (birth, death), outline in zip(loops[real[1]].tolist(), outlines, strict=True)
-        ),
-        skeleton=build_skeleton(lengths, epsilon=epsilon),
+        holes=(),
+        skeleton=NO_SKELETON,
         diagram=diagram,
         doubt=np.zeros(len(lengths)),
         to_landmarks=np.zeros((len(lengths), 0)),
@@ -183,6 +172,7 @@ def _map_group(
         n_anchors=0,
         warnings=(),
     )
+    return draw_component(whole, recipe, index=index, is_hole=real[1])
 
 
 def _all_landmarks(sheets: Iterable[Sheet]) -> set[int]:
