@@ -7,6 +7,7 @@ a rule made for another, and is judged on runs that played no part (seeds from 1
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ def judge_variant(recipe: RecipeConfig, settings: Sequence[str], options: Option
     StudyError
         A run failed, or the runs cannot be computed as asked.
     """
-    made = make_recipe(recipe)
+    made = replace(make_recipe(recipe), replicates=0)
     seen, unseen = (_trials(settings, recipe, options, seeds=range(first, first + runs)) for first in (0, HELD_OUT_SEED))
     rule = train(seen, method=made.method).rules[1]
     shares = {}
@@ -65,7 +66,7 @@ def judge_variant(recipe: RecipeConfig, settings: Sequence[str], options: Option
 
 
 def _trials(settings: Sequence[str], recipe: RecipeConfig, options: Options, *, seeds: range) -> dict[str, list[Trial]]:
-    made = make_recipe(recipe)
+    made = replace(make_recipe(recipe), replicates=0)
     cases = [TrialCase(setting=SETTINGS[name], seed=seed, recipe=made) for name in settings for seed in seeds]
     trials = results_of(run_cases(TRIALS, cases, options, label="runs"))
     return {name: trials[k * len(seeds) : (k + 1) * len(seeds)] for k, name in enumerate(settings)}

@@ -155,7 +155,7 @@ def collect(options: Options, *, runs: dict[str, dict[str, int]]) -> dict[str, T
 
 def _recipe(name: str) -> Recipe:
     method, metric = name.split("/")
-    return make_recipe(RecipeConfig(method=Method(method), metric=MetricKind(metric)))
+    return make_recipe(RecipeConfig(method=Method(method), metric=MetricKind(metric), replicates=0))
 
 
 def describe(training: Training, *, runs: dict[str, int], command: str) -> dict[str, object]:

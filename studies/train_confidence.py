@@ -216,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"error: {error}\n")
         return 1
     flag = "" if runs == TRAINING_RUNS else " --quick" if options.quick else f" --runs {runs}"
-    trained_on = f"{runs} simulated runs, seeds 0 to {runs - 1}, of the settings of studies.trials, as they are and changed"
+    trained_on = f"{runs} simulated runs, seeds 0 to {runs - 1}, of the settings of studies.trials, as they are, changed and starved"
     entry = describe(train(witnesses), trained_on=trained_on, command=f"python -m studies.train_confidence{flag}")
     text = json.dumps({"default/landmark_profile": entry}, indent=1) + "\n"
     if options.out is None:

@@ -135,7 +135,7 @@ TRIALS = Study(name="trials", compute=compute_trial, result_type=Trial, key=_key
 def run_trial(setting: Setting, seed: int, recipe: Recipe) -> Trial:
     """Simulate and map one run."""
     table, spells, true_holes = simulate(setting, seed)
-    result = compute_map(table, spells, replace(recipe, replicates=0))
+    result = compute_map(table, spells, recipe)
     part = result.components[0]
     merges, loops = (intervals[np.isfinite(intervals[:, 1])] / (part.diameter or 1.0) for intervals in part.intervals)
     return Trial(

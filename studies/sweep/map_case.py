@@ -2,7 +2,6 @@
 
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -54,7 +53,7 @@ def compute_case(case: SweepCase) -> CaseResult:
     simulated_s = time.perf_counter()
     map_betti = None
     if len(table) >= MIN_ENCOUNTERS:
-        map_betti = compute_map(table, spells, replace(make_recipe(recipe_config(case.cell)), replicates=0)).betti_numbers
+        map_betti = compute_map(table, spells, make_recipe(recipe_config(case.cell))).betti_numbers
     return CaseResult(
         true_betti=true_betti,
         map_betti=map_betti,
