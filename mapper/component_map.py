@@ -176,7 +176,9 @@ def map_component(
             intervals=(read_only(merges), read_only(loops)),
             betti_numbers=(int(real[0].sum()), int(real[1].sum())),
             reach=reach,
-            places=_locate_landmarks(graph, compared.metric, sample.vertices, origin_ns=origin_ns, ticks_per_length=ticks_per_length),
+            places=_locate_landmarks(
+                graph, compared.metric, sample.vertices, origin_ns=origin_ns, ticks_per_length=ticks_per_length, n_seen=n_seen
+            ),
             scale=scale,
         ),
         is_real=real[1],
@@ -234,7 +236,7 @@ def draw_component(placed: PlacedComponent, recipe: Recipe, *, index: int, is_ho
 
 
 def _locate_landmarks(
-    graph: EncounterGraph, metric: Metric, points: IntArray, *, origin_ns: int, ticks_per_length: float
+    graph: EncounterGraph, metric: Metric, points: IntArray, *, origin_ns: int, ticks_per_length: float, n_seen: int
 ) -> LandmarkPlaces:
     node, begin, end = graph.stands.T
     return LandmarkPlaces(
@@ -243,6 +245,7 @@ def _locate_landmarks(
         t_end_ns=read_only(origin_ns + end // 2),
         to_points=read_only(distances_to(metric, graph.landmarks, points) / ticks_per_length),
         between=read_only(distances_to(metric, graph.landmarks, graph.landmarks) / ticks_per_length),
+        n_seen=n_seen,
     )
 
 

@@ -139,7 +139,7 @@ def _map_group(
     lengths = glued.distances
     diagram = rips_persistence(lengths)
     diameter, reach = float(lengths.max()), float(np.median([part.reach for part in parts]))
-    n_seen = int(np.median([part.n_used for part in parts]))
+    n_seen = int(np.median([part.n_seen for part in parts]))
     real = [judge_intervals(part, rule, diameter=reach, n_encounters=n_seen) for part, rule in zip(diagram.intervals, rules, strict=True)]
     merges, loops = diagram.intervals
     embedding = embed_in_plane(lengths)

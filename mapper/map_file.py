@@ -25,7 +25,7 @@ class LocalMap:
     """One component of a map: p points, in the order in which maxmin picked them, and l places where landmarks stood.
 
     ``points``, shape (p, 3): time [ns] and biobots of each encounter. ``stands``, shape (l, 3): node, begin and end [ns] of each stand.
-    ``distances``, shape (p + l, p + l), points first. ``reach`` is as of `ComponentMap`.
+    ``distances``, shape (p + l, p + l), points first. ``reach`` is as of `ComponentMap`, ``n_seen`` as of `LandmarkPlaces`.
     """
 
     name: str
@@ -36,6 +36,7 @@ class LocalMap:
     cover_radius: float
     n_encounters: int
     n_used: int
+    n_seen: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,6 +58,7 @@ class _Component(msgspec.Struct, frozen=True, kw_only=True):
     cover_radius: _Length
     n_encounters: Annotated[int, Meta(ge=1)]
     n_used: Annotated[int, Meta(ge=0)]
+    n_seen: Annotated[int, Meta(ge=0)]
 
 
 class _Parameters(msgspec.Struct, frozen=True, kw_only=True):
@@ -100,6 +102,7 @@ def merging_facts(result: MapResult) -> dict[str, Any]:
                 "cover_radius": part.cover_radius,
                 "n_encounters": part.n_encounters,
                 "n_used": part.n_used,
+                "n_seen": places.n_seen,
             }
         )
     return {"merging": parts}
@@ -158,6 +161,7 @@ def take_map(document: Mapping[str, object], *, name: str) -> MapFile:
                 cover_radius=part.cover_radius,
                 n_encounters=part.n_encounters,
                 n_used=part.n_used,
+                n_seen=part.n_seen,
             )
         )
     parameters = content.parameters

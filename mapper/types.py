@@ -200,7 +200,8 @@ class LandmarkPlaces:
     """The l places of a component where landmarks stood, by which it can be joined to other maps.
 
     ``node``, ``t_start_ns`` and ``t_end_ns``, shape (l,): who stood there, and from when to when [ns, the clock of the encounters], as far
-    as the record goes. ``to_points``, shape (l, n_points), and ``between``, shape (l, l): distances [unit of the map].
+    as the record goes. ``to_points``, shape (l, n_points), and ``between``, shape (l, l): distances [unit of the map]. ``n_seen``: how
+    many of the encounters used one view of the swarm saw (`mapper.views`).
     """
 
     node: IntArray
@@ -208,6 +209,7 @@ class LandmarkPlaces:
     t_end_ns: IntArray
     to_points: FloatArray
     between: FloatArray
+    n_seen: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
