@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mapper.confidence import Models, load_models
-from mapper.confidence.assess import LEAST_PROBABILITY, WELL_SEEN, choose_holes, tell_count
+from mapper.confidence.assess import LEAST_PROBABILITY, WELL_SEEN, choose_holes, is_beyond_training, tell_count
 from mapper.confidence.counting import count_holes, is_telling
 from mapper.confidence.sufficiency import Facts, judge_data
 from mapper.types import BoolArray, FloatArray, Method, MetricKind
@@ -69,7 +69,8 @@ def tell(models: Models, witness: Witness) -> Told:
     every = np.concatenate([chance, other_loop_probabilities(models.loop, witness)])
     n_landmarks = round(float(np.expm1(run["landmarks"])))
     tells = is_telling(n_points=len(witness.is_right), n_landmarks=n_landmarks)
-    count = count_holes(models.count, number_columns(witness, every), prior=models.prior, is_telling=tells)
+    alone = every if is_beyond_training(models, witness.counted, has_moved_on=False) else None
+    count = count_holes(models.count, number_columns(witness, every), prior=models.prior, is_telling=tells, alone=alone)
     chosen = choose_holes(every, count, is_telling=tells)
     is_called = chosen[: len(chance)]
     is_told = is_called | (chance >= LEAST_PROBABILITY)
@@ -82,6 +83,7 @@ def tell(models: Models, witness: Witness) -> Told:
         count=tell_count(int(chosen.sum()), count),
         well_seen=float(well_seen.mean()),
         span_s=0.0,
+        has_moved_on=False,
     )
     return Told(
         witness=witness,

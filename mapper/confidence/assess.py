@@ -81,6 +81,7 @@ def judge_components(models: Models, gathered: Sequence[Evidence], table: Encoun
         apart=1.0 - gathered[0].part.n_encounters / len(table),
         count=count,
         well_seen=float(is_well_seen.mean()),
+        has_moved_on=_has_moved_on(gathered),
         span_s=(int(table.t_end_ns.max()) - int(table.t_start_ns.min())) / _NS_PER_S,
     )
     return Verdict(
@@ -181,7 +182,13 @@ def count_distribution(models: Models, gathered: Sequence[Evidence], loops: Sequ
     """Say how likely there are 0, 1, 2, ... holes in all components; of the run, the largest of them tells."""
     counted = sum(one.part.betti_numbers[1] for one in gathered)
     columns = describe_numbers(np.concatenate(loops), counted=counted, replicas=replica_counts(gathered), run=gathered[0].run_columns())
-    return count_holes(models.count, columns, prior=models.prior, is_telling=_is_telling(gathered))
+    alone = np.concatenate(loops) if is_beyond_training(models, counted, has_moved_on=_has_moved_on(gathered)) else None
+    return count_holes(models.count, columns, prior=models.prior, is_telling=_is_telling(gathered), alone=alone)
+
+
+def is_beyond_training(models: Models, counted: int, *, has_moved_on: bool) -> bool:
+    """Say whether a map is unlike those of training: it has more holes than any had, or the swarm moved on, which none did."""
+    return has_moved_on or counted >= len(models.prior)
 
 
 def replica_counts(gathered: Sequence[Evidence]) -> IntArray:
@@ -200,6 +207,10 @@ def stability_band(models: Models, evidence: Evidence) -> float:
 def point_probabilities(models: Models, evidence: Evidence) -> FloatArray:
     """Say of each point how likely its distances are right, shape (n_points,)."""
     return models.point.probability(evidence.point_columns())
+
+
+def _has_moved_on(gathered: Sequence[Evidence]) -> bool:
+    return any(reach_of(one.part) < one.part.diameter for one in gathered)
 
 
 def _is_telling(gathered: Sequence[Evidence]) -> bool:

@@ -86,7 +86,9 @@ def describe_numbers(probabilities: FloatArray, *, counted: int, replicas: IntAr
     return columns | {name: np.full(n, float(value)) for name, value in run.items()}
 
 
-def count_holes(model: Model, columns: dict[str, FloatArray], *, prior: Sequence[float], is_telling: bool) -> FloatArray:
+def count_holes(
+    model: Model, columns: dict[str, FloatArray], *, prior: Sequence[float], is_telling: bool, alone: FloatArray | None
+) -> FloatArray:
     """Say how likely each number of holes is, shape (n,): in proportion to the exponential of its score.
 
     Parameters
@@ -95,7 +97,14 @@ def count_holes(model: Model, columns: dict[str, FloatArray], *, prior: Sequence
         How likely each is before anything is known.
     is_telling
         The map can tell anything of holes; if not, the prior is all that is known.
+    alone
+        The probabilities of the loops where the map is unlike those of training: then they alone tell, as if independent; None elsewhere.
     """
+    if is_telling and alone is not None:
+        total = np.zeros(len(columns["number"]))
+        summed = add_up(alone)[: len(total)]
+        total[: len(summed)] = summed
+        return np.asarray(total / total.sum())
     if not is_telling:
         return np.pad(np.array(prior), (0, len(columns["number"]) - len(prior)))
     score = model.score(columns)

@@ -37,6 +37,8 @@ class Facts:
         Share of the points that are well seen.
     span_s
         From the first encounter's beginning to the last one's end [s].
+    has_moved_on
+        Landmarks stood elsewhere later: the swarm saw parts of the place one after the other.
     """
 
     encounters_each: float
@@ -46,6 +48,7 @@ class Facts:
     count: HoleCount
     well_seen: float
     span_s: float
+    has_moved_on: bool
 
 
 def judge_data(facts: Facts) -> DataVerdict:
@@ -95,7 +98,9 @@ def _apart(facts: Facts) -> Iterator[tuple[str, str]]:
 def _unsure(facts: Facts) -> Iterator[tuple[str, str]]:
     if facts.count.probability >= SURE_ENOUGH:
         return
-    if facts.span_s <= 0 or facts.encounters_each < WANTED_ENCOUNTERS:
+    if facts.has_moved_on:
+        walk = "stay longer at each place, or pass it twice"
+    elif facts.span_s <= 0 or facts.encounters_each < WANTED_ENCOUNTERS:
         walk = "let more biobots walk"
     else:
         walk = f"walk {duration_text(facts.span_s)} more for twice the encounters, or let more biobots walk"

@@ -72,7 +72,7 @@ def test_choices_that_a_score_made_are_found_again() -> None:
     columns = {"x": x.ravel(), "y": y.ravel()}
     is_true = (np.arange(4) == drawn[:, None]).ravel()
     model = fit_choice(columns, np.repeat(np.arange(3000), 4), is_true, [("x",), ("y",)], penalty=0.1)
-    found = np.array([count_holes(model, {"x": x[run], "y": y[run]}, prior=(), is_telling=True) for run in range(200)])
+    found = np.array([count_holes(model, {"x": x[run], "y": y[run]}, prior=(), is_telling=True, alone=None) for run in range(200)])
     assert np.abs(found - chance[:200]).mean() < 0.02
 
 

@@ -30,7 +30,7 @@ def test_independent_loops_add_up_as_the_sum_over_all_ways_to_be_there(probabili
 def test_the_probabilities_of_all_numbers_sum_to_one(probabilities: list[float], counted: int, replicas: list[int]) -> None:
     columns = describe_numbers(np.array(probabilities), counted=counted, replicas=np.array(replicas, dtype=np.int64), run={})
     assert set(columns) == set(COUNT_FEATURES)
-    count = count_holes(_MODEL, columns, prior=(1.0,), is_telling=True)
+    count = count_holes(_MODEL, columns, prior=(1.0,), is_telling=True, alone=None)
     assert len(count) > max(MOST_HOLES, counted)
     assert count.sum() == pytest.approx(1.0)
     assert np.isfinite(count).all()
@@ -52,12 +52,20 @@ def test_numbers_are_described_by_the_loops_and_by_what_map_and_replicas_count()
 def test_chances_are_in_proportion_to_the_exponentials_of_scores() -> None:
     columns = {"sum of loops": np.log([0.1, 0.6, 0.3]), "as counted": np.array([0.0, 1.0, 0.0])}
     weights = np.array([0.1, 0.6 * np.exp(0.5), 0.3])
-    count = count_holes(_MODEL, columns, prior=(1.0,), is_telling=True)
+    count = count_holes(_MODEL, columns, prior=(1.0,), is_telling=True, alone=None)
     assert count == pytest.approx(weights / weights.sum())
 
 
 def test_of_a_map_that_tells_nothing_only_what_is_usual_is_known() -> None:
     columns = describe_numbers(np.array([0.9]), counted=1, replicas=np.zeros(0, dtype=np.int64), run={})
-    count = count_holes(_MODEL, columns, prior=(0.6, 0.4), is_telling=False)
+    count = count_holes(_MODEL, columns, prior=(0.6, 0.4), is_telling=False, alone=None)
     assert count[:3].tolist() == [0.6, 0.4, 0.0]
     assert len(count) == len(columns["number"])
+
+
+def test_of_a_map_unlike_those_of_training_the_loops_alone_tell() -> None:
+    chances = np.array([0.9, 0.5, 0.2])
+    columns = describe_numbers(chances, counted=3, replicas=np.zeros(0, dtype=np.int64), run={})
+    count = count_holes(_MODEL, columns, prior=(1.0,), is_telling=True, alone=chances)
+    assert count[:4] == pytest.approx(add_up(chances))
+    assert count.sum() == pytest.approx(1.0)

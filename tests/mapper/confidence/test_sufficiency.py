@@ -10,10 +10,24 @@ _UNSURE = HoleCount(value=1, probability=0.55, probabilities=(0.3, 0.55, 0.13, 0
 
 
 def _facts(
-    *, each: float = 30.0, landmarks: int = 10, apart: float = 0.0, count: HoleCount = _SURE, seen: float = 0.9, span_s: float = 600.0
+    *,
+    each: float = 30.0,
+    landmarks: int = 10,
+    apart: float = 0.0,
+    count: HoleCount = _SURE,
+    seen: float = 0.9,
+    span_s: float = 600.0,
+    moved: bool = False,
 ) -> Facts:
     return Facts(
-        encounters_each=each, n_landmarks=landmarks, n_components=1 + (apart > 0), apart=apart, count=count, well_seen=seen, span_s=span_s
+        encounters_each=each,
+        n_landmarks=landmarks,
+        n_components=1 + (apart > 0),
+        apart=apart,
+        count=count,
+        well_seen=seen,
+        span_s=span_s,
+        has_moved_on=moved,
     )
 
 
@@ -46,6 +60,11 @@ def test_much_of_all_is_enough() -> None:
             _facts(count=_UNSURE),
             "the number of holes is only 55% sure; 0: 30%, 2: 13%",
             "walk 10 min more for twice the encounters, or let more biobots walk",
+        ),
+        (
+            _facts(count=_UNSURE, moved=True),
+            "the number of holes is only 55% sure; 0: 30%, 2: 13%",
+            "stay longer at each place, or pass it twice",
         ),
         (
             _facts(seen=0.1),
