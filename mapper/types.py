@@ -269,7 +269,7 @@ class Hole:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoleCount:
-    """How many holes the map shows, the most probable number, how likely that is right, and how likely there are 0, 1, 2, ... in truth."""
+    """How many holes the map shows, how likely that is right, and how likely there are 0, 1, 2, ... in truth."""
 
     value: int
     probability: float

@@ -68,7 +68,8 @@ def tell(models: Models, witness: Witness) -> Told:
     chance = models.loop.probability(loops)
     every = np.concatenate([chance, other_loop_probabilities(models.loop, witness)])
     n_landmarks = round(float(np.expm1(run["landmarks"])))
-    tells = is_telling(n_points=len(witness.is_right), n_landmarks=n_landmarks)
+    n_walkers = round(float(np.exp(run["encounters"] - run["encounters a biobot"]))) - n_landmarks
+    tells = is_telling(n_points=len(witness.is_right), n_landmarks=n_landmarks, n_walkers=n_walkers)
     alone = every if is_beyond_training(models, witness.counted, has_moved_on=False) else None
     count = count_holes(models.count, number_columns(witness, every), prior=models.prior, is_telling=tells, alone=alone)
     chosen = choose_holes(every, count, is_telling=tells)
@@ -78,6 +79,7 @@ def tell(models: Models, witness: Witness) -> Told:
     facts = Facts(
         encounters_each=2.0 * float(np.exp(run["encounters a biobot"])),
         n_landmarks=n_landmarks,
+        n_walkers=n_walkers,
         n_components=1,
         apart=1.0 - float(np.exp(run["encounters"])) / witness.n_encounters,
         count=tell_count(int(chosen.sum()), count),
@@ -142,7 +144,7 @@ def report(told: Sequence[Told]) -> list[str]:
     lines += ["of these, possible holes", line("all", *hole_events(told, wanted=lambda one: ~one.is_called))]
     lines += ["the map's number of holes is right"]
     lines += [line(name, *count_events(group)) for name, group in groups if group]
-    lines += ["number of holes right: the map's, which is the most probable, and the rule's"]
+    lines += ["number of holes right: the map's, and the rule's"]
     lines += [
         f"{name:40} {len(group):6d} {_share([one.count_is_right for one in group]):>8} {_share([_rule_is_right(one) for one in group]):>8}"
         for name, group in groups

@@ -10,6 +10,7 @@ from math import exp
 from typing import Final
 
 import numpy as np
+import shapely
 
 from firmware_protocol.units import NS_PER_S
 from mapper.bottleneck import bottleneck_distance
@@ -20,6 +21,7 @@ from mapper.outlines import outline_holes
 from mapper.persistence import rips_persistence
 from mapper.pipeline import MIN_ENCOUNTERS, compute_evidence
 from mapper.types import BoolArray, FloatArray, MapResult, Recipe
+from simulator.arenas.arena import Arena
 from simulator.arenas.geodesics import geodesic_distances
 from simulator.world import World
 from studies.cases import PackageFile, Study
@@ -137,7 +139,8 @@ def compute_witness(mission: Mission) -> Witness:
     result, gathered = compute_evidence(table, run.spells, mission.recipe)
     largest = gathered[0]
     places = _true_places(result, run.world)
-    exact = geodesic_distances(arena, places) * (mission.setting.seconds / mission.setting.metres)  # in the map's unit: seconds
+    seconds_per_length = mission.setting.seconds / mission.setting.metres  # that of a map without a speed
+    exact = seconds_per_length * geodesic_distances(arena, _free(arena, places))
     return replace(
         witness,
         counted=result.betti_numbers[1],
@@ -213,6 +216,11 @@ def _true_places(result: MapResult, world: World) -> FloatArray:
     t_s = np.minimum(result.points.t_ns[own] / NS_PER_S, world.now_s)
     first, second = (world.positions_of(ids[own].tolist(), t_s) for ids in (result.points.id1, result.points.id2))
     return (first + second) / 2.0
+
+
+def _free(arena: Arena, places: FloatArray) -> FloatArray:
+    """Move places that lie in an obstacle, half-way between two biobots that were heard around its corner, to where it is free."""
+    return np.asarray(shapely.get_coordinates(shapely.shortest_line(arena.polygon, shapely.points(places)))[::2])
 
 
 def _plain(columns: dict[str, FloatArray]) -> dict[str, tuple[float, ...]]:

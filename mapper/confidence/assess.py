@@ -1,5 +1,6 @@
 """Say how sure a map is, and so which of its loops are holes: gather the evidence, ask the models, write the answers into the map."""
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -36,10 +37,13 @@ MapAgain = Callable[[EncounterTable], PlacedComponent | None]
 
 LEAST_PROBABILITY: Final = 0.05
 """A loop that is not called real and is a hole with less than this is not told of."""
+LEAST_CLAIMED: Final = 0.6
+"""A loop that is a hole with less than this is not claimed, only called possible: a wrong claim is the worst failure."""
 WELL_SEEN: Final = 0.8
 """A point is well seen when its distances are right with this probability."""
 
 _NS_PER_S = 1e9
+_ALWAYS = 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,7 +67,8 @@ def judge_components(models: Models, gathered: Sequence[Evidence], table: Encoun
 
     Notes
     -----
-    There are as many holes as is most probable, and they are the likeliest loops: the rule of the recipe only takes part in the evidence.
+    There are as many holes as is most probable, less those that are too unlikely by themselves, and they are the likeliest loops: the rule
+    of the recipe only takes part in the evidence.
     """
     chances = tuple(loop_probabilities(models, one) for one in gathered)
     distribution = count_distribution(models, gathered, chances)
@@ -77,6 +82,7 @@ def judge_components(models: Models, gathered: Sequence[Evidence], table: Encoun
     facts = Facts(
         encounters_each=2.0 * len(table) / len(np.unique(np.concatenate([table.id1, table.id2]))),
         n_landmarks=gathered[0].part.n_landmarks,
+        n_walkers=gathered[0].track.n_walkers,
         n_components=n_components,
         apart=1.0 - gathered[0].part.n_encounters / len(table),
         count=count,
@@ -108,7 +114,7 @@ def add_verdict(result: MapResult, placed: Sequence[PlacedComponent], verdict: V
 
 
 def choose_holes(chances: FloatArray, distribution: FloatArray, *, is_telling: bool) -> BoolArray:
-    """Say which loops are holes: the likeliest, as many as is most probable, but no more than there are; ties go to the earlier.
+    """Say which loops are holes: the likeliest, as many as is most probable, but none below ``LEAST_CLAIMED``; ties go to the earlier.
 
     None are where the map tells nothing.
 
@@ -122,7 +128,7 @@ def choose_holes(chances: FloatArray, distribution: FloatArray, *, is_telling: b
     is_hole = np.zeros(len(chances), dtype=bool)
     number = int(np.argmax(distribution[: len(chances) + 1])) if is_telling else 0
     is_hole[np.argsort(-chances, kind="stable")[:number]] = True
-    return is_hole
+    return is_hole & (chances >= LEAST_CLAIMED)
 
 
 def gather_evidence(
@@ -142,6 +148,7 @@ def gather_evidence(
     and single ones left out would take little away.
     """
     landmarks = {spell.node for spell in spells if spell.mode is Mode.S and spell.cause is Cause.COMMAND}
+    standing = _always_standing(table, spells)
     left_out = 1.0 - sum(part.summary.n_encounters for part in placed) / len(table)
     length_per_s = recipe.speed_mps or 1.0
     gathered = []
@@ -152,7 +159,13 @@ def gather_evidence(
             (again, part) if (again := map_again(part)) is not None else None for part in cut_time(own, replicates=recipe.replicates)
         ]
         factor = length_per_s if one.summary.scale is None else length_per_s * one.summary.scale.factor
-        track = Track(n_biobots=len(np.unique(np.concatenate([own.id1, own.id2]))), median_duration=duration_s * factor, left_out=left_out)
+        biobots = np.unique(np.concatenate([own.id1, own.id2])).tolist()
+        track = Track(
+            n_biobots=len(biobots),
+            n_walkers=len(set(biobots) - standing),
+            median_duration=duration_s * factor,
+            left_out=left_out,
+        )
         seen_again = tuple(again and _sight(again[0], again[1], landmarks) for again in replicas)
         gathered.append(
             Evidence(
@@ -209,12 +222,24 @@ def point_probabilities(models: Models, evidence: Evidence) -> FloatArray:
     return models.point.probability(evidence.point_columns())
 
 
+def _always_standing(table: EncounterTable, spells: Sequence[ModeSpell]) -> set[int]:
+    """List the biobots that stand by command in nearly all of the time of some encounters."""
+    begin, end = int(table.t_start_ns.min()), int(table.t_end_ns.max())
+    stood: defaultdict[int, int] = defaultdict(int)
+    for spell in spells:
+        if spell.mode is Mode.S and spell.cause is Cause.COMMAND:
+            until = end if spell.t_end_ns is None else min(spell.t_end_ns, end)
+            stood[spell.node] += max(0, until - max(spell.t_start_ns, begin))
+    return {node for node, time_ns in stood.items() if time_ns >= _ALWAYS * (end - begin)}
+
+
 def _has_moved_on(gathered: Sequence[Evidence]) -> bool:
     return any(reach_of(one.part) < one.part.diameter for one in gathered)
 
 
 def _is_telling(gathered: Sequence[Evidence]) -> bool:
-    return is_telling(n_points=gathered[0].part.n_points, n_landmarks=gathered[0].part.n_landmarks)
+    largest = gathered[0]
+    return is_telling(n_points=largest.part.n_points, n_landmarks=largest.part.n_landmarks, n_walkers=largest.track.n_walkers)
 
 
 def _sight(placed: PlacedComponent, table: EncounterTable, landmarks: set[NodeId]) -> Sighting:

@@ -13,6 +13,7 @@ MOST_HOLES: Final = 12
 
 _LEAST_POINTS: Final = 20
 _LEAST_LANDMARKS: Final = 3
+_LEAST_WALKERS: Final = 6
 
 COUNT_FEATURES: Final = (
     "sum of loops",
@@ -31,15 +32,16 @@ _LEAST = 1e-3
 _MOST_ODDS = 5.0
 
 
-def is_telling(*, n_points: int, n_landmarks: int) -> bool:
+def is_telling(*, n_points: int, n_landmarks: int, n_walkers: int) -> bool:
     """Say whether a map can tell anything of holes.
 
     Notes
     -----
     A ring of points and what is beside it take about twenty (own choice). Distances to fewer than three landmarks fix no place, and without
-    any a map shows time as much as place: 20 calves without beacons have a loop of three days.
+    any a map shows time as much as place: 20 calves without beacons have a loop of three days. Of very few that walk the errors are alike
+    all over the map, and no training run had fewer.
     """
-    return n_points >= _LEAST_POINTS and n_landmarks >= _LEAST_LANDMARKS
+    return n_points >= _LEAST_POINTS and n_landmarks >= _LEAST_LANDMARKS and n_walkers >= _LEAST_WALKERS
 
 
 def describe_numbers(probabilities: FloatArray, *, counted: int, replicas: IntArray, run: dict[str, FloatArray]) -> dict[str, FloatArray]:

@@ -65,11 +65,12 @@ def reach_of(part: ComponentMap) -> float:
 class Track:
     """What the encounters of one component are, beside its map.
 
-    ``n_biobots`` are in them; ``median_duration`` of an encounter is in the map's unit of length; ``left_out`` is the share of all
-    encounters that lie in no mapped component.
+    ``n_biobots`` are in them, of which ``n_walkers`` do not stand by command all the time; ``median_duration`` of an encounter is in the
+    map's unit of length; ``left_out`` is the share of all encounters that lie in no mapped component.
     """
 
     n_biobots: int
+    n_walkers: int
     median_duration: float
     left_out: float
 

@@ -10,6 +10,7 @@ from mapper.types import DataVerdict, HoleCount
 WANTED_ENCOUNTERS: Final = 15
 """Encounters that each biobot should have had."""
 WANTED_LANDMARKS: Final = 5
+WANTED_WALKERS: Final = 10
 SURE_ENOUGH: Final = 0.8
 """How likely the number of holes should be right."""
 LEAST_WELL_SEEN: Final = 0.2
@@ -27,6 +28,8 @@ class Facts:
     ----------
     encounters_each
         Encounters of a biobot, on average.
+    n_walkers
+        Biobots that do not stand by command all the time, in the largest component.
     n_landmarks
         Places where a landmark stood, in the largest component.
     n_components, apart
@@ -43,6 +46,7 @@ class Facts:
 
     encounters_each: float
     n_landmarks: int
+    n_walkers: int
     n_components: int
     apart: float
     count: HoleCount
@@ -53,7 +57,7 @@ class Facts:
 
 def judge_data(facts: Facts) -> DataVerdict:
     """Judge the data of a map; the gravest reason comes first."""
-    found = [reason for judge in (_few_encounters, _few_landmarks, _apart, _unsure, _badly_seen) for reason in judge(facts)]
+    found = [reason for judge in (_few_encounters, _few_landmarks, _few_walkers, _apart, _unsure, _badly_seen) for reason in judge(facts)]
     remedies = dict.fromkeys(remedy for _, remedy in found)
     return DataVerdict(is_enough=not found, reasons=tuple(reason for reason, _ in found), remedies=tuple(remedies))
 
@@ -87,6 +91,14 @@ def _few_landmarks(facts: Facts) -> Iterator[tuple[str, str]]:
     counted = "no landmark" if n == 0 else "1 landmark" if n == 1 else f"{n} landmarks"
     remedy = f"let {WANTED_LANDMARKS - n} more biobots stand still, better 10-20 % of all"
     yield f"{counted} in the largest component; {WANTED_LANDMARKS} are wanted", remedy
+
+
+def _few_walkers(facts: Facts) -> Iterator[tuple[str, str]]:
+    if facts.n_walkers < WANTED_WALKERS:
+        yield (
+            f"only {facts.n_walkers} biobots walk; {WANTED_WALKERS} are wanted",
+            f"let {WANTED_WALKERS - facts.n_walkers} more biobots walk",
+        )
 
 
 def _apart(facts: Facts) -> Iterator[tuple[str, str]]:

@@ -13,6 +13,7 @@ def _facts(
     *,
     each: float = 30.0,
     landmarks: int = 10,
+    walkers: int = 40,
     apart: float = 0.0,
     count: HoleCount = _SURE,
     seen: float = 0.9,
@@ -22,6 +23,7 @@ def _facts(
     return Facts(
         encounters_each=each,
         n_landmarks=landmarks,
+        n_walkers=walkers,
         n_components=1 + (apart > 0),
         apart=apart,
         count=count,
@@ -51,6 +53,7 @@ def test_much_of_all_is_enough() -> None:
             "no landmark in the largest component; 5 are wanted",
             "let 5 more biobots stand still, better 10-20 % of all",
         ),
+        (_facts(walkers=4), "only 4 biobots walk; 10 are wanted", "let 6 more biobots walk"),
         (
             _facts(apart=0.4),
             "40% of the encounters are not joined to the largest of 2 components by any biobot",
