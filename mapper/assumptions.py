@@ -41,6 +41,11 @@ def judge_assumptions(log: ProximityLog, result: MapResult, standing: Standing, 
     return (*judged, _hole_count(judged))
 
 
+def walks_at_random(statistics: ContactStatistics) -> bool:
+    """Say whether nothing in the contacts speaks against nodes that move at random: neither company kept nor gatherings."""
+    return all(one.holds is not False for one in _of_movement(statistics))
+
+
 def _clean_rows(log: ProximityLog) -> Assumption:
     if not log.warnings:
         return Assumption(name="clean_rows", holds=True, text="every row was read as it stands")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from firmware_protocol.contract.records import Cause, Mode
-from mapper.assumptions import judge_assumptions
+from mapper.assumptions import judge_assumptions, walks_at_random
 from mapper.contact_statistics import measure_contacts
 from mapper.kernels import Kernels
 from mapper.pipeline import compute_map
@@ -60,13 +60,13 @@ def map_log(
         kernels=kernels,
     )
     still = (*(spells or ()), *stationary_spells(table, standing.nodes))
-    result = compute_map(table, still, recipe, kernels=kernels, also_place=also_place)
+    stood = {int(spell.node) for spell in still if spell.mode is Mode.S and spell.cause is Cause.COMMAND}
+    statistics = measure_contacts(table, np.array(sorted(stood), dtype=np.int64))
+    result = compute_map(table, still, recipe, kernels=kernels, also_place=also_place, walks_at_random=walks_at_random(statistics))
     warnings = [*log.warnings, *result.warnings]
     if absent:
         warnings.append(f"stationary biobots {', '.join(absent)} are in no encounter")
     if standing.source in {StandingSource.COLUMN, StandingSource.FOUND}:
         warnings.append(f"{len(standing.nodes)} nodes are taken to stand still: {standing.reason}")
-    stood = {int(spell.node) for spell in still if spell.mode is Mode.S and spell.cause is Cause.COMMAND}
-    statistics = measure_contacts(table, np.array(sorted(stood), dtype=np.int64))
     result = replace(result, warnings=tuple(warnings), node_names=log.names.text_of, standing=standing)
     return replace(result, assumptions=judge_assumptions(log, result, standing, statistics))

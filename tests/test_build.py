@@ -60,7 +60,7 @@ def installed(wheel: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def encounters(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file with the encounters of a ring."""
-    rows, _ = walk_track(n_landmarks=12, n_walkers=9, duration_s=60, seed=1, is_ring=True)
+    rows, _ = walk_track(n_landmarks=20, n_walkers=10, duration_s=60, seed=1, is_ring=True)
     path = tmp_path_factory.mktemp("ring") / "encounters.csv"
     lines = [f"{max(start, 0) / NS:.3f},{max(end, 0) / NS:.3f},{first},{second}\n" for start, end, first, second in rows]
     path.write_text("t_start_s,t_end_s,id1,id2\n" + "".join(lines))
@@ -81,7 +81,7 @@ def test_the_wheel_holds_what_a_firmware_engineer_needs(wheel: Path) -> None:
 
 
 def test_without_a_compiler_the_mapper_makes_the_same_map_and_says_that_it_is_slow(installed: Path, encounters: Path) -> None:
-    flags = ("run", encounters, "--stationary", ",".join(str(1001 + k) for k in range(12)), "--json", "-")
+    flags = ("run", encounters, "--stationary", ",".join(str(1001 + k) for k in range(20)), "--json", "-")
     plain, compiled = _run(installed, "mapper", *flags), _run(ROOT, "mapper", *flags, BIOBOT_KERNELS="compiled")
     assert (plain.returncode, compiled.returncode, compiled.stderr) == (0, 0, ""), plain.stderr + compiled.stderr
     assert json.loads(plain.stdout)["betti_numbers"] == [1, 1]

@@ -1,11 +1,13 @@
 """How sure a map is: of each hole, of their number, of its distances, of its regions, and whether the data are enough."""
 
-from mapper.confidence.assess import MapAgain, add_verdict, gather_evidence, judge_components
+from mapper.confidence.assess import LEAST_CLAIMED, LEAST_CLAIMED_OF_OTHERS, MapAgain, add_verdict, gather_evidence, judge_components
 from mapper.confidence.evidence import Evidence
 from mapper.confidence.model import Model, Models, load_models
 from mapper.confidence.sufficiency import describe_count, sure_text
 
 __all__ = [
+    "LEAST_CLAIMED",
+    "LEAST_CLAIMED_OF_OTHERS",
     "Evidence",
     "MapAgain",
     "Model",

@@ -39,6 +39,8 @@ LEAST_PROBABILITY: Final = 0.05
 """A loop that is not called real and is a hole with less than this is not told of."""
 LEAST_CLAIMED: Final = 0.6
 """A loop that is a hole with less than this is not claimed, only called possible: a wrong claim is the worst failure."""
+LEAST_CLAIMED_OF_OTHERS: Final = 0.9
+"""The same of nodes that do not walk at random, as the runs of training did."""
 WELL_SEEN: Final = 0.8
 """A point is well seen when its distances are right with this probability."""
 
@@ -62,8 +64,10 @@ class Verdict:
     data: DataVerdict
 
 
-def judge_components(models: Models, gathered: Sequence[Evidence], table: EncounterTable, *, n_components: int) -> Verdict:
-    """Say how sure a map of encounters is, and which of its loops are holes.
+def judge_components(
+    models: Models, gathered: Sequence[Evidence], table: EncounterTable, *, n_components: int, least_claimed: float = LEAST_CLAIMED
+) -> Verdict:
+    """Say how sure a map of encounters is, and which of its loops are holes; none is that is less probable than ``least_claimed``.
 
     Notes
     -----
@@ -72,7 +76,7 @@ def judge_components(models: Models, gathered: Sequence[Evidence], table: Encoun
     """
     chances = tuple(loop_probabilities(models, one) for one in gathered)
     distribution = count_distribution(models, gathered, chances)
-    chosen = choose_holes(np.concatenate(chances), distribution, is_telling=_is_telling(gathered))
+    chosen = choose_holes(np.concatenate(chances), distribution, is_telling=_is_telling(gathered), least=least_claimed)
     ends = np.cumsum([len(some) for some in chances])[:-1]
     is_hole = tuple(
         np.pad(some, (0, len(one.part.intervals[1]) - len(some))) for some, one in zip(np.split(chosen, ends), gathered, strict=True)
@@ -113,8 +117,8 @@ def add_verdict(result: MapResult, placed: Sequence[PlacedComponent], verdict: V
     )
 
 
-def choose_holes(chances: FloatArray, distribution: FloatArray, *, is_telling: bool) -> BoolArray:
-    """Say which loops are holes: the likeliest, as many as is most probable, but none below ``LEAST_CLAIMED``; ties go to the earlier.
+def choose_holes(chances: FloatArray, distribution: FloatArray, *, is_telling: bool, least: float = LEAST_CLAIMED) -> BoolArray:
+    """Say which loops are holes: the likeliest, as many as is most probable, but none below ``least``; ties go to the earlier.
 
     None are where the map tells nothing.
 
@@ -128,7 +132,7 @@ def choose_holes(chances: FloatArray, distribution: FloatArray, *, is_telling: b
     is_hole = np.zeros(len(chances), dtype=bool)
     number = int(np.argmax(distribution[: len(chances) + 1])) if is_telling else 0
     is_hole[np.argsort(-chances, kind="stable")[:number]] = True
-    return is_hole & (chances >= LEAST_CLAIMED)
+    return is_hole & (chances >= least)
 
 
 def gather_evidence(

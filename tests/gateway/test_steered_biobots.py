@@ -102,12 +102,13 @@ def test_a_script_of_which_a_step_was_refused_goes_on_and_fails_in_the_end(tmp_p
         async with on_tcp(dongle) as port:
             config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=_TABLE)
             with listening(config) as peer:
-                async with running(config), program(*steering(config, 7, "left 0.1; right 0.1; stop")) as steerer:
+                async with running(config):
                     backpack = dongle.backpacks[NodeId(7)]
                     await introduced(peer, backpack)
-                    assert await steerer.wait() == 1
-                    assert steerer.stderr is not None
-                    assert b"1 of 3 steps were not confirmed" in await steerer.stderr.read()
+                    async with program(*steering(config, 7, "left 0.1; right 0.1; stop")) as steerer:
+                        assert await steerer.wait() == 1
+                        assert steerer.stderr is not None
+                        assert b"1 of 3 steps were not confirmed" in await steerer.stderr.read()
                     assert actions(backpack) == [Action.TURN_LEFT, Action.STOP]
 
     asyncio.run(story())

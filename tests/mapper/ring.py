@@ -6,8 +6,8 @@ from tests.mapper.worlds import walk_track
 
 
 def ring_records() -> list[JournalRecord]:
-    """Return mode records of twelve landmarks (ids from 1001), then about 600 encounters of five walkers (ids from 1)."""
-    rows, spells = walk_track(n_landmarks=12, n_walkers=5, duration_s=120.0, seed=1, is_ring=True)
+    """Return mode records of twenty landmarks (ids from 1001), then about 700 encounters of ten walkers (ids from 1)."""
+    rows, spells = walk_track(n_landmarks=20, n_walkers=10, duration_s=60.0, seed=1, is_ring=True)
     records: list[JournalRecord] = [
         mode(offset, node=spell.node, t_ns=(spell.t_start_ns, spell.t_end_ns)) for offset, spell in enumerate(spells, start=1)
     ]
