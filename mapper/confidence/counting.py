@@ -11,7 +11,7 @@ from mapper.types import FloatArray, IntArray
 MOST_HOLES: Final = 12
 """Numbers up to this are told of, and up to a few more than the map has loops called real: twice the most in any training run."""
 
-_LEAST_POINTS: Final = 20
+_LEAST_POINTS: Final = 10
 _LEAST_LANDMARKS: Final = 3
 _LEAST_WALKERS: Final = 6
 
@@ -37,7 +37,7 @@ def is_telling(*, n_points: int, n_landmarks: int, n_walkers: int) -> bool:
 
     Notes
     -----
-    A ring of points and what is beside it take about twenty (own choice). Distances to fewer than three landmarks fix no place, and without
+    A ring takes about ten points (own choice). Distances to fewer than three landmarks fix no place, and without
     any a map shows time as much as place: 20 calves without beacons have a loop of three days. Of very few that walk the errors are alike
     all over the map, and no training run had fewer.
     """
