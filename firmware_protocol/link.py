@@ -184,9 +184,7 @@ class Link:
         return bool(self._frames) or (self.state is LinkState.OPEN and self.outgoing.has_next)
 
     def send(self, payload: bytes, *, now_ns: int, is_urgent: bool = False, is_first: bool = False) -> int:
-        """Queue a payload and return its ticket.
-
-        An urgent one goes ahead of all that has not been sent, a first one of urgent ones too.
+        """Queue a payload and return its ticket; an urgent one goes ahead of all that was not sent, a first one of urgent ones too.
 
         Raises
         ------
@@ -202,10 +200,7 @@ class Link:
             raise LinkFullError(limit=self.config.max_queue)
         ticket = self._next_ticket
         self._next_ticket += 1
-        if is_first:
-            self.outgoing.add_first((ticket, payload))
-        else:
-            self.outgoing.add((ticket, payload), is_urgent=is_urgent)
+        self.outgoing.add((ticket, payload), is_urgent=is_urgent, is_first=is_first)
         self._fill_window(now_ns)
         return ticket
 

@@ -48,12 +48,14 @@ class LinkQueue:
         """Whether ``take`` gives one."""
         return self._n_handed_out < len(self._in_window)
 
-    def add(self, entry: Entry, *, is_urgent: bool) -> None:
-        """Let a payload wait."""
-        (self._urgent if is_urgent else self._unsent).append(entry)
+    def add(self, entry: Entry, *, is_urgent: bool, is_first: bool) -> None:
+        """Let a payload wait; a first one waits before all that was not handed out, urgent ones too."""
+        if is_first:
+            self._add_first(entry)
+        else:
+            (self._urgent if is_urgent else self._unsent).append(entry)
 
-    def add_first(self, entry: Entry) -> None:
-        """Let a payload wait before all that was not handed out, urgent ones too."""
+    def _add_first(self, entry: Entry) -> None:
         first, last = self._n_numbered, self._n_numbered + self._n_urgent_next
         for _ in range(first, last):
             self._urgent.appendleft(self._in_window[last - 1])

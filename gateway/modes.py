@@ -112,11 +112,6 @@ class ModeTracker:
         del spells[:-_MAX_SPELLS]
         return [self._record(report.node, one) for one in changed]
 
-    def current_mode(self, node: NodeId) -> tuple[Mode, Cause] | None:
-        """Return the mode a biobot is in as far as is known, and why."""
-        spells = self._spells.get(node)
-        return (spells[-1].mode, spells[-1].cause) if spells else None
-
     def newest_record(self, node: NodeId) -> ModeRecord | None:
         """Return the last record of a biobot's newest spell, as far as any is known."""
         spells = self._spells.get(node)

@@ -7,6 +7,7 @@ import numpy as np
 
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NS_PER_S
+from mapper.assembly import add_others, assemble
 from mapper.betti import load_trained_rules
 from mapper.component_map import MIN_LANDMARKS, PlacedComponent, draw_component, map_component
 from mapper.confidence import (
@@ -23,20 +24,16 @@ from mapper.encounter_graph import Components, build_components
 from mapper.errors import TooFewEncountersError
 from mapper.joined_map import check_alike, join_maps
 from mapper.kernels import Kernels, choose_kernels
-from mapper.landmark_stands import Stands, find_stands, make_landmarks
+from mapper.landmark_stands import Stands, find_stands
 from mapper.map_file import MapFile
 from mapper.types import (
     TICKS_PER_S,
     BoolArray,
     EncounterTable,
-    FloatArray,
-    Hole,
     IntArray,
     MapResult,
     ModeSpell,
-    Points,
     Recipe,
-    read_only,
 )
 from mapper.window import make_encounter_table
 
@@ -50,7 +47,6 @@ _MIN_SAMPLE = 100
 _STAGES = ("metric", "outliers", "subsample", "persistence", "embedding")
 _MAX_EXACT_TICKS = 2**53
 _S_PER_DAY = 86_400
-_GAP_SHARE = 0.1  # of the largest diameter, between components drawn side by side
 
 
 def compute_map(
@@ -125,7 +121,7 @@ def compute_evidence(
 class _Mapped:
     """The components of a map, not drawn yet, and what maps the largest component of some of the encounters in the same way.
 
-    ``rows``, ``component`` and ``stands`` are as `_add_others` takes them.
+    ``rows``, ``component`` and ``stands`` are as `mapper.assembly.add_others` takes them.
     """
 
     table: EncounterTable
@@ -144,8 +140,8 @@ class _Mapped:
             draw_component(part, self.recipe, index=index, is_hole=holes)
             for index, (part, holes) in enumerate(zip(self.placed, is_hole, strict=True))
         ]
-        result = _assemble(self.table, drawn, self.recipe, n_components=self.n_components, warnings=self.warnings)
-        return _add_others(result, self.table, drawn, rows=self.rows, component=self.component, stands=self.stands)
+        result = assemble(self.table, drawn, self.recipe, n_components=self.n_components, warnings=self.warnings)
+        return add_others(result, self.table, drawn, rows=self.rows, component=self.component, stands=self.stands)
 
 
 def _map_components(
@@ -240,7 +236,7 @@ def join_finished_maps(maps: Sequence[MapFile], recipe: Recipe, *, kernels: Kern
     rules = recipe.betti_rules or load_trained_rules(recipe.method, recipe.metric).rules
     placed, points, warnings = join_maps(maps, recipe, rules, kernels=kernels or choose_kernels())
     table = make_encounter_table(t_start_ns=points[:, 0], t_end_ns=points[:, 0], id1=points[:, 1], id2=points[:, 2])
-    result = _assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(placed), warnings=tuple(warnings))
+    result = assemble(table, placed, replace(recipe, betti_rules=rules), n_components=len(placed), warnings=tuple(warnings))
     return replace(result, n_encounters=sum(part.summary.n_encounters for part in placed))
 
 
@@ -323,83 +319,3 @@ def _warn_of_anchors(placed: Sequence[PlacedComponent]) -> list[str]:
     index, part = lacking[0]
     counted = f"component {index} has {part.summary.n_landmarks} of the {MIN_LANDMARKS} landmarks that profiles need"
     return [f"{counted}, so {part.n_anchors} of its encounters serve as references too; {next_step}"]
-
-
-def _assemble(
-    table: EncounterTable, placed: Sequence[PlacedComponent], recipe: Recipe, *, n_components: int, warnings: tuple[str, ...]
-) -> MapResult:
-    encounters = np.concatenate([part.encounters for part in placed])
-    offsets = np.cumsum([0, *(len(part.encounters) for part in placed)])
-    coordinates = _side_by_side(placed)
-    summaries = tuple(part.summary for part in placed)
-    return MapResult(
-        betti_numbers=(sum(s.betti_numbers[0] for s in summaries), sum(s.betti_numbers[1] for s in summaries)),
-        points=_make_points(table, encounters, coordinates, component=np.repeat(np.arange(len(placed)), np.diff(offsets))),
-        components=summaries,
-        holes=tuple(
-            _move_hole(hole, first_point=int(offset), shift=coordinates[offset] - part.coordinates[0])
-            for part, offset in zip(placed, offsets, strict=False)
-            for hole in part.holes
-        ),
-        edges=read_only(np.concatenate([part.skeleton.edges + offset for part, offset in zip(placed, offsets, strict=False)])),
-        triangles=read_only(np.concatenate([part.skeleton.triangles + offset for part, offset in zip(placed, offsets, strict=False)])),
-        diameter=max(s.diameter for s in summaries),
-        lost_spectrum=max(s.lost_spectrum for s in summaries),
-        n_encounters=len(table),
-        n_used=sum(s.n_used for s in summaries),
-        n_components=n_components,
-        length_unit="s" if recipe.speed_mps is None else "m",
-        recipe=recipe,
-        warnings=warnings,
-    )
-
-
-def _add_others(
-    result: MapResult, table: EncounterTable, placed: Sequence[PlacedComponent], *, rows: IntArray, component: IntArray, stands: Stands
-) -> MapResult:
-    """Add landmarks, and the other encounters that were to be placed: the first ``rows`` are those of the stands."""
-    coordinates = np.zeros((len(rows), 2))
-    for index, part in enumerate(placed):
-        first = int(np.searchsorted(result.points.component, index))
-        shift = np.array([result.points.x[first], result.points.y[first]]) - part.coordinates[0]
-        coordinates[component == index] = part.others + shift
-    is_placed = (component < len(placed)) & np.isfinite(coordinates).all(axis=1)
-    n_stands = len(stands.rows)
-    of_stands, of_others = (np.flatnonzero(is_placed[some]) for some in (slice(n_stands), slice(n_stands, None)))
-    landmarks = make_landmarks(stands, is_placed=is_placed[:n_stands], places=coordinates[of_stands], component=component[of_stands])
-    of_others += n_stands
-    others = _make_points(table, rows[of_others], coordinates[of_others], component=component[of_others])
-    return replace(result, landmarks=landmarks, others=others if len(others) else None)
-
-
-def _make_points(table: EncounterTable, encounters: IntArray, coordinates: FloatArray, *, component: IntArray) -> Points:
-    start, end = table.t_start_ns[encounters], table.t_end_ns[encounters]
-    return Points(
-        x=read_only(coordinates[:, 0].copy()),
-        y=read_only(coordinates[:, 1].copy()),
-        t_ns=read_only(start + (end - start) // 2),
-        id1=read_only(table.id1[encounters]),
-        id2=read_only(table.id2[encounters]),
-        component=read_only(component),
-        encounter=read_only(encounters),
-    )
-
-
-def _move_hole(hole: Hole, *, first_point: int, shift: FloatArray) -> Hole:
-    """Put a hole of one component among those of all: its points count from ``first_point``, its places move by ``shift``, shape (2,)."""
-    return replace(
-        hole,
-        outline=read_only(hole.outline + first_point),
-        outline_xy=read_only(hole.outline_xy + shift),
-        centre=None if hole.centre is None else read_only(hole.centre + shift),
-    )
-
-
-def _side_by_side(placed: Sequence[PlacedComponent]) -> FloatArray:
-    """Move each component to the right of the one before; the first stays where it is."""
-    gap = _GAP_SHARE * max(part.summary.diameter for part in placed)
-    moved = [placed[0].coordinates]
-    for part in placed[1:]:
-        shift = moved[-1][:, 0].max() + gap - part.coordinates[:, 0].min()
-        moved.append(part.coordinates + np.array([shift, 0.0]))
-    return np.concatenate(moved)

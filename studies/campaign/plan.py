@@ -90,11 +90,6 @@ class Fault:
     draw: float
 
 
-def unit_of(kind: Kind) -> Unit:
-    """Return what a kind of fault befalls."""
-    return _HABITS[kind].unit
-
-
 def draw_faults(
     seed: int, *, n_faults: int, span_s: float, kinds: Sequence[Kind], counts: dict[Unit, int], mapper_from_s: float, brevity: float = 1.0
 ) -> list[Fault]:
