@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.units import NodeId
-from mapper.confidence.assess import LEAST_CLAIMED, choose_holes
+from mapper.confidence.assess import LEAST_CLAIMED, LEAST_CLAIMED_OF_OTHERS, choose_holes
 from mapper.config import RecipeConfig, make_recipe
 from mapper.pipeline import compute_map
 from mapper.report import summarize, to_json_object
@@ -51,14 +51,18 @@ def test_without_landmarks_no_hole_is_claimed() -> None:
     assert not result.data.is_enough
 
 
-@given(st.lists(st.floats(0.0, 1.0), max_size=8), st.lists(st.floats(0.01, 1.0), min_size=13, max_size=13))
+@given(
+    st.lists(st.floats(0.0, 1.0), max_size=8),
+    st.lists(st.floats(0.01, 1.0), min_size=13, max_size=13),
+    st.sampled_from((LEAST_CLAIMED, LEAST_CLAIMED_OF_OTHERS)),
+)
 def test_the_likeliest_loops_are_holes_as_many_as_is_most_probable_but_for_those_too_unlikely(
-    chances: list[float], weights: list[float]
+    chances: list[float], weights: list[float], least: float
 ) -> None:
     distribution = np.array(weights) / sum(weights)
-    chosen = choose_holes(np.array(chances), distribution, is_telling=True)
+    chosen = choose_holes(np.array(chances), distribution, is_telling=True, least=least)
     most_probable = int(np.argmax(distribution[: len(chances) + 1]))
-    assert chosen.sum() == min(most_probable, sum(chance >= LEAST_CLAIMED for chance in chances))
+    assert chosen.sum() == min(most_probable, sum(chance >= least for chance in chances))
     inside = [chance for chance, is_hole in zip(chances, chosen, strict=True) if is_hole]
     outside = [chance for chance, is_hole in zip(chances, chosen, strict=True) if not is_hole]
     assert min(inside, default=1.0) >= max(outside, default=0.0)
