@@ -1,6 +1,10 @@
-"""Hypothesis profiles: the same examples on every run in CI, fresh ones by hand; a few where each takes long."""
+"""Hypothesis profiles: the same examples on every run in CI, fresh ones by hand; a few where each takes long.
+
+And interrupts as at a terminal: a shell that starts the tests in the background has them ignored, by all programs that the tests start too.
+"""
 
 import os
+import signal
 
 from hypothesis import HealthCheck, settings
 
@@ -8,3 +12,6 @@ settings.register_profile("ci", deadline=None, derandomize=True, suppress_health
 settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("few", parent=settings.get_profile("ci"), max_examples=15)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)

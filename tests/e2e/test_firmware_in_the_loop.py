@@ -157,7 +157,7 @@ def test_thousands_of_encounters_are_journaled_once_through_damage_noise_a_reset
 
             line.damage = 0.0005
             damaged = gateway.n_entries()
-            gateway.wait_until(lambda: line.n_damaged > 20 and gateway.n_entries() > damaged + 500, what="encounters over a bad line")
+            gateway.wait_until(lambda: line.n_damaged > 40 and gateway.n_entries() > damaged + 500, what="encounters over a bad line")
             line.damage = 0.0
             line.inject(random.Random(7).randbytes(3000))
 

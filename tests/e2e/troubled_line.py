@@ -25,6 +25,7 @@ class TroubledLine:
     port: str = ""
     """Device of the other end."""
     n_damaged: int = 0
+    """Bytes from the device that were damaged; those to it are not counted, for only the device sees them."""
     _ends: list[int] = field(default_factory=list)
     _injected: dict[int, bytes] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -63,7 +64,7 @@ class TroubledLine:
         while not self._is_over.is_set():
             readable, _, _ = select.select([near, far], [], [], _WAIT_S if not any(waiting.values()) else 0.001)
             for source in readable:
-                waiting[far if source == near else near] += self._worn(os.read(source, 4096), rng)
+                waiting[far if source == near else near] += self._worn(os.read(source, 4096), rng, is_counted=source == near)
             with self._lock:
                 injected, self._injected = self._injected, {}
             for target, held in waiting.items():
@@ -73,7 +74,7 @@ class TroubledLine:
                 except BlockingIOError:
                     waiting[target] = data
 
-    def _worn(self, data: bytes, rng: random.Random) -> bytes:
+    def _worn(self, data: bytes, rng: random.Random, *, is_counted: bool) -> bytes:
         damage = self.damage
         if not damage:
             return data
@@ -81,5 +82,5 @@ class TroubledLine:
         for at in range(len(worn)):
             if rng.random() < damage:
                 worn[at] ^= 1 << rng.randrange(8)
-                self.n_damaged += 1
+                self.n_damaged += is_counted
         return bytes(worn)
