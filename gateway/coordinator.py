@@ -2,7 +2,8 @@
 
 One task a radio, isolated from the others: whatever goes wrong with one, it is opened again, and the others go on. Upward, every
 radio payload is handed to ``on_radio`` and confirmed to the dongle in order, each when the future that ``on_radio`` returned is
-done. Downward, ``send`` gives each payload a future with what became of it; nothing is ever sent a second time from here.
+done, or when the disk has taken nothing for a while (``receipts``). Downward, ``send`` gives each payload a future with what became
+of it; nothing is ever sent a second time from here.
 """
 
 import asyncio
@@ -259,7 +260,8 @@ class Coordinator:
         timer = WakeTimer(self._wake.set)
         try:
             while True:
-                if (safe := self._receipts.take_ready()) is not None:  # here, so that all payloads of one commit share one acknowledgement
+                # Here, so that all payloads of one commit share one acknowledgement.
+                if (safe := self._receipts.take_ready(now_ns=time.monotonic_ns())) is not None:
                     self._host.confirm(safe)
                 await line.write_what_fits(self._next_frame)
                 deadline_ns = self._next_deadline_ns()
@@ -284,7 +286,7 @@ class Coordinator:
         return next(iter(self._host.take_frames(at_most=1)), None)
 
     def _next_deadline_ns(self) -> int | None:
-        deadlines = [self._host.next_deadline_ns(), self._reopen_at_ns, self._sendings.next_deadline_ns]
+        deadlines = [self._host.next_deadline_ns(), self._reopen_at_ns, self._sendings.next_deadline_ns, self._receipts.next_deadline_ns]
         if self._host.has_frames or self._sendings.has_timed:
             deadlines.append(self._pace.free_at_ns)
         if not self._host.is_open:
@@ -342,7 +344,7 @@ class Coordinator:
             payload=received.payload,
             received_ns=received_ns,
         )
-        return self._receipts.add(heard.receipt, self._hand_up(message))
+        return self._receipts.add(heard.receipt, self._hand_up(message), now_ns=received_ns)
 
     def _hand_up(self, message: RadioMessage) -> "asyncio.Future[None] | None":
         """Hand a payload up. One that the gateway fails at is no reason to keep the dongle repeating it, nor to give the dongle up."""

@@ -47,8 +47,8 @@ MAX_GROUP_SIZE = 4 << 20
 """Octets of records and reports, after which a group takes no further write."""
 
 MAX_WAITING = 65_536
-"""Writes that may wait for the disk. Native dongles stall at 16 unconfirmed payloads; XBee and Z-Stack never do, but a backpack has at most
-33 messages outstanding, and a repetition is no write: it takes a flood of commands, or two thousand biobots, to come near."""
+"""Writes that may wait for the disk. Dongles stall for a moment only (``receipts``), but a backpack has at most 33 messages outstanding,
+and a repetition is no write: it takes a flood of commands, or two thousand biobots, to come near."""
 
 _UNSTORABLE = (OverflowError, TypeError, ValueError, struct.error)
 """What adding a write to a group raises where it can never be stored. What SQLite raises is the disk's, and is waited out."""
@@ -379,6 +379,7 @@ class Journal:
 
     def _enter_fault(self, reason: str) -> None:
         self._health.count("journal.refused_commits")
+        self._health.set_level("journal.waiting", self._n_waiting)
         if self._fault is None:
             _log.error("journal.fault", path=self._path, reason=reason, waiting=self._n_waiting)
             self._fault = reason

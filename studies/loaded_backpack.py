@@ -48,6 +48,9 @@ OUTSTANDING: Final = 12
 """Newest sequence number minus the oldest that is not acknowledged. The protocol allows 30 (WIRE_FORMAT.md §5.1); with that many from each
 of 32 biobots a dongle's queue alone lasts for longer than the second after which they repeat, and what is measured is repetitions."""
 
+_FOR_REPLIES: Final = 2
+"""Further numbers, for StimulateReply alone: a base station whose disk is full acknowledges nothing, and hears it all the same."""
+
 _BOOT: Final = BootId(1)
 _BOOTED_NS: Final = 1_000 * NS_PER_S
 """Every backpack was started so long before the load, and each some milliseconds later than the one before."""
@@ -184,14 +187,16 @@ class LoadedBackpack:
         if self._answers:
             self._offer = (-1, None)
             return self._answers[0]
-        while self._repeats and self._repeats[0][0] <= now_ns:
+        oldest = next(iter(self._outstanding), self._sequence)
+        is_reply = bool(self._first_words) and isinstance(self._first_words[0], StimulateReply)
+        has_room = self._sequence - oldest < self.n_outstanding + is_reply * _FOR_REPLIES
+        while not (is_reply and has_room) and self._repeats and self._repeats[0][0] <= now_ns:
             _, number, wait_ns = self._repeats[0]
             if number in self._outstanding:
                 self._offer = (number, wait_ns)
                 return self._payload(number, now_ns)
             self._repeats.popleft()
-        oldest = next(iter(self._outstanding), self._sequence)
-        if self._sequence - oldest >= self.n_outstanding:
+        if not has_room:
             return None
         if self._first_words:
             whole = encode_uplink(self._header(0, now_ns), self._first_words[0])

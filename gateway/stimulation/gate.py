@@ -328,7 +328,8 @@ class StimulationGate:
         """Put an answer on record that came when the last stage had been told, which it does not change."""
         self._health.count("command.late_replies")
         self._answers.learn(command, reply)
-        self._teller.note(command, LATE_REPLY, reason=f"the backpack answers late: {reply.result.name.lower()}")
+        if command.stages:  # else it answers a broadcast that a newer one has taken the place of, before this biobot was sent to by itself
+            self._teller.note(command, LATE_REPLY, reason=f"the backpack answers late: {reply.result.name.lower()}")
 
     def _take_stray(self, node: NodeId, reply: StimulateReply) -> None:
         """Take an answer to a command that this biobot was not given: one that has obeyed another's has got its train."""

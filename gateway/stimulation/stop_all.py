@@ -242,7 +242,7 @@ class _Sweep:
 
     def _unconfirmed(self) -> list[Command]:
         """Return those within reach that did not confirm, when all have ended: silent, unwilling, or left to newer stops."""
-        return [part for part in self._within_reach if part.stages[-1].stage is not Stage.BIOBOT_CONFIRMED]
+        return [part for part in self._within_reach if not part.stages or part.stages[-1].stage is not Stage.BIOBOT_CONFIRMED]
 
     def _silent(self) -> list[Command]:
         return [part for part in self._within_reach if not part.is_final]

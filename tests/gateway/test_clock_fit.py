@@ -12,14 +12,13 @@ _WINDOW_NS = 300 * NS_PER_S
 
 
 def _fit_all(upper: list[Point], lower: list[Point], *, at_ns: int) -> tuple[float, float, float, float]:
-    """Bounds of offset and rate by trying rates one by one: slow and plain."""
-    rates = [k * 1e-6 for k in range(-100, 101)]
+    """Bounds of offset and rate by trying rates one by one: slow and plain, and in whole numbers, for the room may be none."""
     possible = []
-    for rate in rates:
-        top = min(o + rate * (at_ns - t) for t, o in upper)
-        bottom = max(o + rate * (at_ns - t) for t, o in lower)
+    for ppm in range(-100, 101):
+        top = min(o * 1_000_000 + ppm * (at_ns - t) for t, o in upper)
+        bottom = max(o * 1_000_000 + ppm * (at_ns - t) for t, o in lower)
         if bottom <= top:
-            possible.append((rate, bottom, top))
+            possible.append((ppm * 1e-6, bottom / 1e6, top / 1e6))
     return possible[0][0], possible[-1][0], min(one[1] for one in possible), max(one[2] for one in possible)
 
 

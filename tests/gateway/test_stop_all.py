@@ -1,6 +1,7 @@
 """Laws of the stop of everybody."""
 
 import asyncio
+from functools import partial
 from pathlib import Path
 
 from hypothesis import given
@@ -111,6 +112,34 @@ def test_of_many_the_newest_alone_goes_on_from_biobot_to_biobot(tmp_path: Path) 
             assert len(set(numbers)) == 51, "each has told everybody"
             assert {frame.message.command for frame in site.air.frames if frame.node is not None} <= {numbers[0], numbers[-1]}
             assert not site.gate._book.running()
+
+    asyncio.run(story())
+
+
+def test_one_that_gives_way_before_it_sent_to_a_biobot_takes_its_answer_to_the_broadcast_all_the_same(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", *range(1, 7), config=PATIENT) as site:
+            site.air.stuck = {"r0"}
+            site.air.answers = lambda _node, _n: False
+
+            def has_its_parts(name: str) -> bool:
+                return sum(one.part_of == name for one in site.gate._book.running()) == 6
+
+            stopping: list[asyncio.Task[list[CommandStage]]] = []
+            for name in ("first", "second", "third"):
+                stopping.append(asyncio.ensure_future(site.stages(EVERYBODY, _ALL, command_id=name)))
+                await until(partial(has_its_parts, name), what="it has its parts")
+            broadcasts = [frame.message for frame in site.air.frames if frame.node is None]
+            first, second = await asyncio.gather(*stopping[:2])
+            for message in broadcasts:
+                for node in range(1, 7):
+                    site.air.reply(node, message)
+            third = await stopping[-1]
+            assert [stages[-1].stage for stages in (first, second)] == [Stage.UNKNOWN] * 2
+            assert all("a newer stop of all" in stages[-1].reason for stages in (first, second))
+            assert third[-1].stage is Stage.BIOBOT_CONFIRMED
+            assert site.health.counters()["command.late_replies"] >= 12
+            assert "command.broken" not in site.health.counters()
 
     asyncio.run(story())
 
