@@ -99,7 +99,11 @@ def test_units_share_a_bus_and_each_hears_its_own_coordinator_alone(is_fd: bool)
                 await ports[5].read()
             with pytest.raises(TransportClosedError):
                 await ports[5].write(b"")
-        assert not [one for one in threading.enumerate() if name in one.name.split()[0].split(":")], "its threads have ended"
+
+        def have_its_threads_ended() -> bool:
+            return not any(name in one.name.split()[0].split(":") for one in threading.enumerate())
+
+        await until(have_its_threads_ended, what="its threads have ended")
 
     asyncio.run(story())
 
