@@ -86,7 +86,9 @@ def opened(
     page.on("request", lambda request: None if request.url.startswith((url, "data:", "blob:")) else watched.outside.append(request.url))
     page.on("console", lambda message: watched.faults.append(message.text) if message.type in {"error", "warning"} else None)
     page.on("pageerror", lambda error: watched.faults.append(str(error)))
-    page.add_init_script(f"sessionStorage.setItem('biobot.token', '{token_of(directory)}')")
+    token = token_of(directory)
+    page.add_init_script(f"sessionStorage.setItem('biobot.token', '{token}')")
+    page.on("request", lambda request: watched.faults.append("a token in a URL") if token[16:32] in request.url else None)
     page.goto(url)
     yield watched
     assert watched.outside == []
