@@ -13,6 +13,9 @@ class Topic(StrEnum):
     BIOBOTS = "biobots"
     COMMANDS = "commands"
     MISSION = "mission"
+    MAPS = "maps"
+    """Which maps of the past are kept."""
+    ALERTS = "alerts"
 
 
 class Changes:

@@ -70,17 +70,23 @@ class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
     n_ahead: int
 
 
-def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns: int) -> MapDocuments | TooFew | OutOfStep:
+def make_map(
+    delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns: int, previous: bytes | None = None
+) -> MapDocuments | TooFew | OutOfStep:
     """Bring this process's copy up to date, compute the map of what counts, and put it into JSON.
 
     Parameters
     ----------
+    previous
+        JSON of the map before: this one is laid over it, so that what stands still stands still in the picture. None: there is none.
     now_ns
         The time of this machine's wall clock. A window ends at the newest encounter that is not dated ahead of it, and those that are
         dated ahead are left out: one wrong clock would take the window away from all others. Where all are, it is this machine's
         clock that is wrong, and nothing is left out for that.
     """
-    from mapper.map_codec import encode_map  # noqa: PLC0415  # see the module's docstring
+    from mapper.map_alignment import align_map  # noqa: PLC0415  # see the module's docstring
+    from mapper.map_codec import encode_map  # noqa: PLC0415  # same
+    from mapper.map_marks import read_marks  # noqa: PLC0415  # same
     from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415  # same
     from mapper.report import to_json_object  # noqa: PLC0415  # same
 
@@ -95,8 +101,11 @@ def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns
     if len(table) < MIN_ENCOUNTERS:
         where = "yet" if since_ns is None else "since time 0 of the mission" if since_ns == _replica.since_ns else "in the window"
         return TooFew(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=where, n_ahead=n_ahead)
-    result = compute_map(table, spells, recipe)
+    result, fit = compute_map(table, spells, recipe), None
+    if previous is not None:
+        result, fit = align_map(result, read_marks(previous, source="the map before"))
     document = to_json_object(result)
+    document["aligned"] = None if fit is None else {"n_shared": fit.n_shared, "rms": fit.rms}
     for point, id1, id2 in zip(_objects(document["points"]), result.points.id1.tolist(), result.points.id2.tolist(), strict=True):
         point["id1"], point["id2"] = to_unsigned(id1), to_unsigned(id2)
     n_before, last_encounter_ns = len(known) - len(table), int(table.t_end_ns.max())

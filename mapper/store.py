@@ -7,7 +7,7 @@ power cut the newest commits may be gone (``synchronous=NORMAL``); they are then
 
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -26,16 +26,18 @@ from firmware_protocol.contract.records import (
 )
 from firmware_protocol.errors import RecordError
 from firmware_protocol.units import NodeId
+from mapper.alert_archive import AlertArchive
 from mapper.encounter_pages import EncounterPage, read_page
 from mapper.errors import StoreError
 from mapper.gateway_clocks import SourceClock
+from mapper.map_archive import MapArchive
 from mapper.offsets import OffsetSet
 from mapper.record_columns import is_fit, wall_interval
 from mapper.record_rows import RecordRows
 from mapper.replica import StoreDelta
 from mapper.row_loader import LoadedEncounters, load_encounters
 from mapper.site_view import SiteView
-from mapper.store_file import open_store_file, random_name, store_name, translate
+from mapper.store_file import open_store_file, random_name, store_name, transaction, translate
 
 _MAX_INTEGER = 2**63 - 1
 
@@ -115,6 +117,8 @@ class Store:
         self._db = open_store_file(path)
         try:
             self._name = None if path is None else random_name(self._db)
+            self.past_maps = MapArchive(self._db, path=self._path)
+            self.alerts = AlertArchive(self._db, path=self._path)
             self._load()
         except (sqlite3.Error, RecordError, StoreError) as error:
             self._db.close()
@@ -296,17 +300,8 @@ class Store:
         into += fit
         return len(batch.records) - len(fit)
 
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            yield
-            self._db.execute("COMMIT")
-        except sqlite3.Error as error:
-            raise translate(error, path=self._path) from error
-        finally:
-            if self._db.in_transaction:
-                self._db.execute("ROLLBACK")
+    def _transaction(self) -> AbstractContextManager[None]:
+        return transaction(self._db, path=self._path)
 
     def _load(self) -> None:
         self._site = SiteView(self._read_encounters)

@@ -2,6 +2,8 @@
 
 import secrets
 import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -12,7 +14,7 @@ from mapper.errors import StoreError
 
 APPLICATION_ID: Final = 0x42494F42
 """In the header of every file of ours: "BIOB"."""
-SCHEMA_VERSION: Final = 3
+SCHEMA_VERSION: Final = 5
 
 # The steps by which a file comes to each version from the one before; an empty file takes all of them.
 _STEPS: Final = {
@@ -74,6 +76,12 @@ ORDER BY record.id;
 DROP TABLE record;
 ALTER TABLE record_of_source RENAME TO record;
 CREATE UNIQUE INDEX record_by_change ON record (kind, change);
+""",
+    4: "",
+    # Maps of the past, and alerts with who acknowledged them.
+    5: """
+CREATE TABLE past_map (version INTEGER PRIMARY KEY, facts BLOB NOT NULL, documents BLOB NOT NULL);
+CREATE TABLE alert (id INTEGER PRIMARY KEY, body BLOB NOT NULL);
 """,
 }
 
@@ -138,6 +146,26 @@ def random_name(database: sqlite3.Connection) -> str:
     database.execute("CREATE TABLE IF NOT EXISTS own_name (id INTEGER PRIMARY KEY CHECK (id = 1), name TEXT NOT NULL)")
     database.execute("INSERT OR IGNORE INTO own_name VALUES (1, ?)", (f"mapper-{secrets.token_hex(4)}",))
     return str(database.execute("SELECT name FROM own_name").fetchone()[0])
+
+
+@contextmanager
+def transaction(database: sqlite3.Connection, *, path: str) -> Iterator[None]:
+    """Do all that is written meanwhile, or nothing.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written.
+    """
+    try:
+        database.execute("BEGIN IMMEDIATE")
+        yield
+        database.execute("COMMIT")
+    except sqlite3.Error as error:
+        raise translate(error, path=path) from error
+    finally:
+        if database.in_transaction:
+            database.execute("ROLLBACK")
 
 
 def translate(error: sqlite3.Error | RecordError | StoreError, *, path: str) -> StoreError:

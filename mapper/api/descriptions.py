@@ -37,6 +37,7 @@ def describe_answers(
     problems: Sequence[HTTPStatus] = (),
     *,
     is_versioned: bool = False,
+    is_kept: bool = False,
     under_way: str | None = None,
     examples: Mapping[HTTPStatus, object] | None = None,
 ) -> dict[int | str, dict[str, Any]]:
@@ -44,6 +45,8 @@ def describe_answers(
 
     Parameters
     ----------
+    is_versioned, is_kept
+        It is of the newest map, or of one of the past, and has an ETag.
     under_way
         What 202 means; None: it is not answered.
     examples
@@ -62,6 +65,7 @@ def describe_answers(
         answers[202] = {"model": content, "description": under_way}
     if is_versioned:
         fine["headers"] = _FRESHNESS_HEADERS
+    if is_versioned or is_kept:
         answers[304] = {"description": "The client has this version (If-None-Match)"}
     for status in problems:
         answers[int(status)] = _describe_problem(_SUMMARIES[status], (examples or {}).get(status))

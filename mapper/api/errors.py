@@ -11,12 +11,14 @@ from starlette.exceptions import HTTPException
 
 from mapper.api.command_schemas import STOP_PATH
 from mapper.errors import (
+    AlertNotFoundError,
     BiobotNotFoundError,
     CommandNotFoundError,
     CommandRefusedError,
     GatewayAwayError,
     JobError,
     MapError,
+    MapNotFoundError,
     NoMapYetError,
     OrderRefusedError,
     PlaceError,
@@ -30,10 +32,12 @@ from mapper.errors import (
 PROBLEM_TYPE: Final = "application/problem+json"
 
 STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
+    AlertNotFoundError: HTTPStatus.NOT_FOUND,
     BiobotNotFoundError: HTTPStatus.NOT_FOUND,
     CommandNotFoundError: HTTPStatus.NOT_FOUND,
     CommandRefusedError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
+    MapNotFoundError: HTTPStatus.NOT_FOUND,
     PlaceError: HTTPStatus.UNPROCESSABLE_ENTITY,
     RouteError: HTTPStatus.NOT_FOUND,
     TooManyError: HTTPStatus.TOO_MANY_REQUESTS,

@@ -13,6 +13,7 @@ from fastapi import APIRouter, Query, Request, Response
 from mapper.api.command_routes import add_command_routes, add_mission_routes
 from mapper.api.descriptions import describe_answers
 from mapper.api.event_stream import EventStream
+from mapper.api.past_routes import add_past_routes
 from mapper.api.schemas import (
     BiobotList,
     DiagramView,
@@ -62,6 +63,7 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     _add_record_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
+    add_past_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router
 

@@ -24,6 +24,8 @@ from tests.mapper.ring import ring_records
 from tests.mapper.web_side import BASE, check_against, client_of, meet, openapi_of
 
 HUGE = 2**64 - 1
+ASKED = {"/api/v1/route": {"from": "landmark:1001", "to": "landmark:1005"}, "/api/v1/maps/{version}/difference": {"since": "1"}}
+"""What must be asked along."""
 
 
 def run(story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]], *, with_map: bool = False) -> None:
@@ -44,14 +46,18 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         gets = [path for path, methods in document["paths"].items() if "get" in methods and path != "/api/v1/events"]
         await until(lambda: side.current_map.waiting_for.minimum > 0)
         for path in gets:
-            check_against(document, path, await client.get(path.replace("{command_id}", "unknown").replace("{biobot}", "77")))
+            check_against(
+                document,
+                path,
+                await client.get(path.replace("{command_id}", "unknown").replace("{biobot}", "77").replace("{version}", "7")),
+            )
         records = ring_records()
         last = records[-1].offset
         phase = mission(last + 1, phase=MissionPhase.EXPLORATION, t_ns=0, landmarks=(7, HUGE))
         gateway.journal_records([*records, phase, encounter(last + 2, nodes=(1, HUGE), is_void=True)])
         await meet(side, gateway, HUGE)
         gateway.publish_account(account(HUGE))
-        await until(lambda: side.current_map.latest is not None and bool(side.accounts.all()))
+        await until(lambda: bool(side.history.page()[0]) and bool(side.accounts.all()))
         done = await client.post("/api/v1/commands", json={"biobot": str(HUGE), "action": "stop", "operator": "anna", "id": "one"})
         assert done.status_code == HTTPStatus.OK
         check_against(document, "/api/v1/commands", done, method="post")
@@ -59,8 +65,9 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         ordered = await client.post("/api/v1/mission/orders", json={"action": "start", "operator": "anna"})
         check_against(document, "/api/v1/mission/orders", ordered, method="post")
         for path in gets:
-            asked = {"from": "landmark:1001", "to": "landmark:1005"} if path == "/api/v1/route" else {}
-            answer = await client.get(path.replace("{command_id}", "one").replace("{biobot}", str(HUGE)), params=asked)
+            asked = ASKED.get(path, {})
+            concrete = path.replace("{command_id}", "one").replace("{biobot}", str(HUGE)).replace("{version}", "1")
+            answer = await client.get(concrete, params=asked)
             assert answer.status_code == HTTPStatus.OK, path
             check_against(document, path, answer)
         phases = (await client.get("/api/v1/mission")).json()

@@ -1,0 +1,105 @@
+"""Maps of the past in the store: the facts of each, and its documents, compressed."""
+
+import sqlite3
+import zlib
+from typing import Final
+
+import msgspec
+
+from mapper.errors import StoreError
+from mapper.store_file import transaction, translate
+
+_LEVEL: Final = 6
+
+
+class PastMap(msgspec.Struct, frozen=True, kw_only=True):
+    """What is told of a map of the past without opening it. ``n_bytes``: of its compressed documents; ``betti_numbers`` are b0 and b1."""
+
+    version: int
+    wall_ns: int
+    """When it was done."""
+    begun_wall_ns: int
+    made_by: str
+    etag: str
+    betti_numbers: tuple[int, int]
+    hole_probability: float | None
+    """That there are as many holes in truth; None: not known."""
+    is_enough: bool | None
+    n_encounters: int
+    n_bytes: int
+
+
+class MapArchive:
+    """Maps of the past in a database; its thread is the store's."""
+
+    def __init__(self, database: sqlite3.Connection, *, path: str) -> None:
+        self._db = database
+        self._path = path
+
+    def every(self) -> list[PastMap]:
+        """Return the facts of all, the newest last; what cannot be read is left out.
+
+        Raises
+        ------
+        StoreError
+            The file cannot be read.
+        """
+        try:
+            rows = self._db.execute("SELECT facts FROM past_map ORDER BY version").fetchall()
+        except sqlite3.Error as error:
+            raise translate(error, path=self._path) from error
+        return [facts for (body,) in rows if (facts := _decode(body)) is not None]
+
+    def documents(self, version: int) -> bytes | None:
+        """Return the compressed documents of one; None: it is not there.
+
+        Raises
+        ------
+        StoreError
+            The file cannot be read.
+        """
+        try:
+            row = self._db.execute("SELECT documents FROM past_map WHERE version = ?", (version,)).fetchone()
+        except sqlite3.Error as error:
+            raise translate(error, path=self._path) from error
+        return None if row is None else bytes(row[0])
+
+    def change(self, *, add: list[tuple[PastMap, bytes]], drop: list[int]) -> None:
+        """Put some in and take some out.
+
+        Raises
+        ------
+        StoreError
+            The file cannot be written; nothing of it was done.
+        """
+        with transaction(self._db, path=self._path):
+            rows = [(facts.version, msgspec.msgpack.encode(facts), documents) for facts, documents in add]
+            self._db.executemany("INSERT OR REPLACE INTO past_map (version, facts, documents) VALUES (?, ?, ?)", rows)
+            self._db.executemany("DELETE FROM past_map WHERE version = ?", [(version,) for version in drop])
+
+
+def pack_documents(map_json: bytes, diagram_json: bytes) -> bytes:
+    """Compress the documents of a map."""
+    return zlib.compress(msgspec.msgpack.encode((map_json, diagram_json)), _LEVEL)
+
+
+def unpack_documents(packed: bytes) -> tuple[bytes, bytes]:
+    """Invert `pack_documents`.
+
+    Raises
+    ------
+    StoreError
+        They are something else.
+    """
+    try:
+        return msgspec.msgpack.decode(zlib.decompress(packed), type=tuple[bytes, bytes])
+    except (zlib.error, msgspec.DecodeError, UnicodeDecodeError) as error:
+        reason = f"holds a map of the past that cannot be read: {error}"
+        raise StoreError(path="the store", reason=reason, next_step="ask for another version") from error
+
+
+def _decode(body: bytes) -> PastMap | None:
+    try:
+        return msgspec.msgpack.decode(body, type=PastMap)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
