@@ -13,6 +13,8 @@ class Topic(StrEnum):
     BIOBOTS = "biobots"
     COMMANDS = "commands"
     MISSION = "mission"
+    PINS = "pins"
+    JOBS = "jobs"
     MAPS = "maps"
     """Which maps of the past are kept."""
     ALERTS = "alerts"

@@ -7,7 +7,7 @@ from typing import Final
 import msgspec
 
 from mapper.errors import StoreError
-from mapper.store_file import transaction, translate
+from mapper.store import Store
 
 _LEVEL: Final = 6
 
@@ -20,7 +20,8 @@ class PastMap(msgspec.Struct, frozen=True, kw_only=True):
     """When it was done."""
     begun_wall_ns: int
     made_by: str
-    etag: str
+    tag: str
+    """Of its entity, as it was first served."""
     betti_numbers: tuple[int, int]
     hole_probability: float | None
     """That there are as many holes in truth; None: not known."""
@@ -29,53 +30,43 @@ class PastMap(msgspec.Struct, frozen=True, kw_only=True):
     n_bytes: int
 
 
-class MapArchive:
-    """Maps of the past in a database; its thread is the store's."""
+def read_past_maps(store: Store) -> list[PastMap]:
+    """Return the facts of all, the newest last; what cannot be read is left out.
 
-    def __init__(self, database: sqlite3.Connection, *, path: str) -> None:
-        self._db = database
-        self._path = path
+    Raises
+    ------
+    StoreError
+        The file cannot be read.
+    """
 
-    def every(self) -> list[PastMap]:
-        """Return the facts of all, the newest last; what cannot be read is left out.
+    def read(database: sqlite3.Connection) -> list[bytes]:
+        return [body for (body,) in database.execute("SELECT facts FROM past_map ORDER BY version").fetchall()]
 
-        Raises
-        ------
-        StoreError
-            The file cannot be read.
-        """
-        try:
-            rows = self._db.execute("SELECT facts FROM past_map ORDER BY version").fetchall()
-        except sqlite3.Error as error:
-            raise translate(error, path=self._path) from error
-        return [facts for (body,) in rows if (facts := _decode(body)) is not None]
+    return [facts for body in store.read(read) if (facts := _decode(body)) is not None]
 
-    def documents(self, version: int) -> bytes | None:
-        """Return the compressed documents of one; None: it is not there.
 
-        Raises
-        ------
-        StoreError
-            The file cannot be read.
-        """
-        try:
-            row = self._db.execute("SELECT documents FROM past_map WHERE version = ?", (version,)).fetchone()
-        except sqlite3.Error as error:
-            raise translate(error, path=self._path) from error
+def read_documents(store: Store, version: int) -> bytes | None:
+    """Return the compressed documents of one; None: it is not there. Raises what `read_past_maps` raises."""
+
+    def read(database: sqlite3.Connection) -> bytes | None:
+        row = database.execute("SELECT documents FROM past_map WHERE version = ?", (version,)).fetchone()
         return None if row is None else bytes(row[0])
 
-    def change(self, *, add: list[tuple[PastMap, bytes]], drop: list[int]) -> None:
-        """Put some in and take some out.
+    return store.read(read)
 
-        Raises
-        ------
-        StoreError
-            The file cannot be written; nothing of it was done.
-        """
-        with transaction(self._db, path=self._path):
-            rows = [(facts.version, msgspec.msgpack.encode(facts), documents) for facts, documents in add]
-            self._db.executemany("INSERT OR REPLACE INTO past_map (version, facts, documents) VALUES (?, ?, ?)", rows)
-            self._db.executemany("DELETE FROM past_map WHERE version = ?", [(version,) for version in drop])
+
+def change_past_maps(store: Store, *, add: list[tuple[PastMap, bytes]], drop: list[int]) -> None:
+    """Put some in and take some out.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written; nothing of it was done.
+    """
+    with store.transaction() as database:
+        rows = [(facts.version, msgspec.msgpack.encode(facts), documents) for facts, documents in add]
+        database.executemany("INSERT OR REPLACE INTO past_map (version, facts, documents) VALUES (?, ?, ?)", rows)
+        database.executemany("DELETE FROM past_map WHERE version = ?", [(version,) for version in drop])
 
 
 def pack_documents(map_json: bytes, diagram_json: bytes) -> bytes:

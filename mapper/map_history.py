@@ -16,7 +16,7 @@ import msgspec
 from mapper.changes import Changes, Topic
 from mapper.errors import MapNotFoundError, StoreError
 from mapper.log import EventLog
-from mapper.map_archive import PastMap, pack_documents, unpack_documents
+from mapper.map_archive import PastMap, change_past_maps, pack_documents, read_documents, read_past_maps, unpack_documents
 from mapper.map_difference import MapDifference, compare_maps
 from mapper.map_snapshot import MapSnapshot
 from mapper.store_thread import StoreThread
@@ -122,7 +122,7 @@ class MapHistory:
         facts = self.facts(version)
         packed = self._fresh.get(version)
         if packed is None:
-            packed = await self._records.call(lambda store: store.past_maps.documents(version))
+            packed = await self._records.call(read_documents, version)
         if packed is None:
             raise MapNotFoundError(version=version, oldest=min(self._facts, default=None), newest=max(self._facts, default=None))
         return facts, *await asyncio.to_thread(unpack_documents, packed)
@@ -143,7 +143,7 @@ class MapHistory:
     async def restore(self) -> bytes | None:
         """Find what was kept before the last end; return the newest map of it as JSON, None where there is none."""
         try:
-            found = await self._records.call(lambda store: store.past_maps.every())
+            found = await self._records.call(read_past_maps)
             self._facts = {facts.version: facts for facts in found}
             return None if not found else (await self.documents(found[-1].version))[1]
         except (StoreError, MapNotFoundError) as error:
@@ -210,7 +210,7 @@ class MapHistory:
         drop = [version for version in self._facts if version not in kept]
         if add or drop:
             try:
-                await self._records.call(lambda store: store.past_maps.change(add=add, drop=drop))
+                await self._records.call(change_past_maps, add=add, drop=drop)
             except StoreError as error:
                 if self.fault is None:
                     _log.error("history.not_kept", reason=str(error))
@@ -239,7 +239,7 @@ def _pack(snapshot: MapSnapshot, made_by: str) -> tuple[PastMap, bytes]:
         wall_ns=snapshot.finished.computed_wall_ns,
         begun_wall_ns=snapshot.begun_wall_ns,
         made_by=made_by,
-        etag=snapshot.etag,
+        tag=snapshot.map.tag,
         betti_numbers=told.betti_numbers,
         hole_probability=None if told.hole_count is None else told.hole_count.probability,
         is_enough=None if told.data is None else told.data.is_enough,

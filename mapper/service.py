@@ -39,6 +39,7 @@ from mapper.log import EventLog, set_up_logging
 from mapper.map_history import MapHistory
 from mapper.map_snapshot import fingerprint
 from mapper.mission_orders import MissionDesk
+from mapper.pin_board import PinBoard
 from mapper.rips_engines import name_engine
 from mapper.service_checks import check_service
 from mapper.service_manager import ServiceManager
@@ -150,12 +151,15 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
         recipe, window_ns = make_recipe(config.recipe), None if serve.window_s is None else round(serve.window_s * 1e9)
         history = _make_history(config, records=records, changes=changes, made_by=fingerprint(recipe, window_ns=window_ns))
+        pins = PinBoard(records=records, changes=changes)
+        await pins.restore()
         current_map = CurrentMap(
             records=records,
             history=history,
             recipe=recipe,
             fleet=fleet,
             changes=changes,
+            pins=pins,
             min_interval_s=serve.min_interval_s,
             window_ns=window_ns,
         )
@@ -182,6 +186,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             emergency_stop=EmergencyStop(desk),
             mission=MissionDesk(bus=bus),
             accounts=accounts,
+            pins=pins,
             changes=changes,
             is_connected=lambda: bus.is_connected,
             counters=counters,
@@ -295,7 +300,8 @@ def _listen(serve: ServiceConfig) -> socket.socket:
             reason="other machines could reach it, and there are no users and passwords yet",
             next_step="leave --host at 127.0.0.1, or accept with --allow-remote that whoever reaches the port may command",
         )
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    # Named as TCP, so that connections get TCP_NODELAY: otherwise each answer of two packets waits 40 ms for an acknowledgement.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(target)

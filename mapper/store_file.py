@@ -2,8 +2,6 @@
 
 import secrets
 import sqlite3
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -77,7 +75,10 @@ DROP TABLE record;
 ALTER TABLE record_of_source RENAME TO record;
 CREATE UNIQUE INDEX record_by_change ON record (kind, change);
 """,
-    4: "",
+    # Places that the operator named.
+    4: """
+CREATE TABLE pin (name TEXT PRIMARY KEY, place TEXT NOT NULL, x REAL, y REAL);
+""",
     # Maps of the past, and alerts with who acknowledged them.
     5: """
 CREATE TABLE past_map (version INTEGER PRIMARY KEY, facts BLOB NOT NULL, documents BLOB NOT NULL);
@@ -146,26 +147,6 @@ def random_name(database: sqlite3.Connection) -> str:
     database.execute("CREATE TABLE IF NOT EXISTS own_name (id INTEGER PRIMARY KEY CHECK (id = 1), name TEXT NOT NULL)")
     database.execute("INSERT OR IGNORE INTO own_name VALUES (1, ?)", (f"mapper-{secrets.token_hex(4)}",))
     return str(database.execute("SELECT name FROM own_name").fetchone()[0])
-
-
-@contextmanager
-def transaction(database: sqlite3.Connection, *, path: str) -> Iterator[None]:
-    """Do all that is written meanwhile, or nothing.
-
-    Raises
-    ------
-    StoreError
-        The file cannot be written.
-    """
-    try:
-        database.execute("BEGIN IMMEDIATE")
-        yield
-        database.execute("COMMIT")
-    except sqlite3.Error as error:
-        raise translate(error, path=path) from error
-    finally:
-        if database.in_transaction:
-            database.execute("ROLLBACK")
 
 
 def translate(error: sqlite3.Error | RecordError | StoreError, *, path: str) -> StoreError:

@@ -5,12 +5,15 @@ from typing import Annotated, Final
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
+from mapper.api.data_schemas import DiagramView
 from mapper.api.descriptions import describe_answers
 from mapper.api.past_schemas import DifferenceView, PastMapList
-from mapper.api.schemas import DiagramView, MapView
+from mapper.api.quick_answers import served
+from mapper.api.schemas import MapView
 from mapper.api.services import Services
-from mapper.api.views import JSON_TYPE, json_response, versioned_response
+from mapper.api.views import JSON_TYPE, json_response
 from mapper.map_archive import PastMap
+from mapper.served_bytes import ServedBytes
 
 _MAX_VERSION: Final = 2**63 - 1
 _PROBLEMS: Final = (HTTPStatus.NOT_FOUND, HTTPStatus.UNPROCESSABLE_ENTITY, HTTPStatus.SERVICE_UNAVAILABLE)
@@ -30,17 +33,23 @@ def add_past_routes(router: APIRouter, services: Services) -> None:
         found, has_more = services.history.page(after=after, limit=limit)
         return json_response({"maps": [_view(facts) for facts in found], "next": found[-1].version if has_more else None})
 
-    @router.get("/api/v1/maps/{version}", tags=["past"], responses=describe_answers(MapView, _PROBLEMS, is_kept=True))
+    @router.get(
+        "/api/v1/maps/{version}", tags=["past"], responses=describe_answers(MapView, _PROBLEMS, is_versioned=True, has_freshness=False)
+    )
     async def get_past_map(request: Request, version: Version) -> Response:
         """Return a map of the past as `/api/v1/map` gave it; each lies as the one before."""
         facts, map_json, _ = await services.history.documents(version)
-        return versioned_response(request, map_json, etag=facts.etag, media_type=JSON_TYPE, headers={})
+        return await served(request.headers, ServedBytes(map_json, tag=facts.tag), media_type=JSON_TYPE, headers={})
 
-    @router.get("/api/v1/maps/{version}/diagram", tags=["past"], responses=describe_answers(DiagramView, _PROBLEMS, is_kept=True))
+    @router.get(
+        "/api/v1/maps/{version}/diagram",
+        tags=["past"],
+        responses=describe_answers(DiagramView, _PROBLEMS, is_versioned=True, has_freshness=False),
+    )
     async def get_past_diagram(request: Request, version: Version) -> Response:
         """Return the persistence diagram of a map of the past."""
         facts, _, diagram_json = await services.history.documents(version)
-        return versioned_response(request, diagram_json, etag=facts.etag, media_type=JSON_TYPE, headers={})
+        return await served(request.headers, ServedBytes(diagram_json, tag=facts.tag), media_type=JSON_TYPE, headers={})
 
     @router.get("/api/v1/maps/{version}/difference", tags=["past"], responses=describe_answers(DifferenceView, _PROBLEMS))
     async def get_map_difference(

@@ -10,6 +10,7 @@ from mapper.emergency_stop import EmergencyStop
 from mapper.fleet import Fleet
 from mapper.map_history import MapHistory
 from mapper.mission_orders import MissionDesk
+from mapper.pin_board import PinBoard
 from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store_thread import StoreThread
 from mapper.types import KernelsKind
@@ -35,6 +36,7 @@ class Services:
     emergency_stop: EmergencyStop
     mission: MissionDesk
     accounts: StimulationAccounts
+    pins: PinBoard
     changes: Changes
     is_connected: Callable[[], bool]
     counters: Callable[[], Mapping[str, int]]

@@ -22,6 +22,7 @@ from mapper.intake import Intake
 from mapper.kernels import choose_kernels
 from mapper.map_history import MapHistory
 from mapper.mission_orders import MissionDesk
+from mapper.pin_board import PinBoard
 from mapper.rips_engines import name_engine
 from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store import Store
@@ -51,6 +52,7 @@ class Side:
     accounts: StimulationAccounts
     current_map: CurrentMap
     history: MapHistory
+    pins: PinBoard
 
     @property
     def services(self) -> Services:
@@ -63,6 +65,7 @@ class Side:
             emergency_stop=EmergencyStop(self.desk),
             mission=MissionDesk(bus=self.bus),
             accounts=self.accounts,
+            pins=self.pins,
             changes=self.changes,
             is_connected=lambda: self.bus.is_connected,
             counters=lambda: self.intake.counters,
@@ -105,6 +108,8 @@ async def mapper_side(
     intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=log, accounts=accounts)
     commander = Commander(bus=bus, name="mapper1")
     desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
+    pins = PinBoard(records=records, changes=changes)
+    await pins.restore()
     history = MapHistory(
         records=records,
         changes=changes,
@@ -119,6 +124,7 @@ async def mapper_side(
         recipe=make_recipe(recipe or RecipeConfig()),
         fleet=fleet,
         changes=changes,
+        pins=pins,
         min_interval_s=min_interval_s,
         window_ns=window_ns,
         clock=clock,
@@ -140,6 +146,7 @@ async def mapper_side(
             accounts=accounts,
             current_map=current_map,
             history=history,
+            pins=pins,
         )
         assert not any(task.done() for task in tasks)
     finally:
