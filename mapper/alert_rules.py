@@ -39,7 +39,7 @@ _OVER: Final = frozenset({MissionPhase.IDLE, MissionPhase.DONE})
 _EVENTS: Final[Mapping[str, tuple[Severity, str]]] = {
     "journal.damaged": (
         Severity.WARNING,
-        "has records on its disk that cannot be read any more. The map lacks them; copy its journal away, and exchange the disk after the mission.",
+        "has records on its disk that cannot be read any more. The map lacks them; copy its journal away, and exchange the disk.",
     ),
     "journal.behind": (
         Severity.WARNING,
@@ -58,7 +58,10 @@ _EVENTS: Final[Mapping[str, tuple[Severity, str]]] = {
         Severity.INFO,
         "could not configure a backpack: its encounters may be sensed otherwise than those of the others. Restart that backpack.",
     ),
-    "radio.flood": (Severity.WARNING, "has a radio that says more than its share, and reads it more slowly. Look for a backpack that is stuck."),
+    "radio.flood": (
+        Severity.WARNING,
+        "has a radio that says more than its share, and reads it more slowly. Look for a backpack that is stuck.",
+    ),
 }
 
 
@@ -73,8 +76,10 @@ class AlertLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """All that is looked at. ``silences_s``: how long biobots were not heard; ``events``, ``changes``: the recent ones, with the gateway of
-    each; ``contacts``: of the last minutes; ``remedies``: what would help where the data are not enough for the map, None: they are."""
+    """All that is looked at.
+
+    ``silences_s``: how long biobots were not heard; ``events``, ``recent_changes``: of the last minutes, changes with their gateways; ``contacts``: of the last minutes; ``remedies``: what would help where the data are not enough for the map, None: they are.
+    """
 
     is_connected: bool
     gateways: Sequence[GatewayView]
@@ -147,7 +152,11 @@ def _radios(view: GatewayView) -> Iterator[Condition]:
             continue
         report = view.status.radio_reports.get(name)
         why = f" ({_steady(report.reason)})" if report is not None and report.reason else ""
-        rest = "Biobots may still be heard by its other radios." if is_any_up else "It has no other: no biobot there is heard or can be stopped."
+        rest = (
+            "Biobots may still be heard by its other radios."
+            if is_any_up
+            else "It has no other: no biobot there is heard or can be stopped."
+        )
         text = f"Radio {name} of gateway {view.name} is {state}{why}. {rest} Check the dongle and its cable."
         severity = Severity.WARNING if is_any_up else Severity.CRITICAL
         yield Condition(kind=AlertKind.RADIO_DOWN, subject=f"radio {name} of gateway {view.name}", severity=severity, text=text)
@@ -159,7 +168,8 @@ def _disk(view: GatewayView, is_on: IsOn) -> Iterator[Condition]:
     if free is None or free >= _DISK_LOW_BYTES * (_DISK_BACK if is_on(AlertKind.DISK_FULL, subject) else 1.0):
         return
     is_scarce = free < _DISK_SCARCE_BYTES
-    text = f"The disk of gateway {view.name} is {'all but full' if is_scarce else 'filling up'}. When it is full, nothing is recorded. Make room."
+    state = "all but full" if is_scarce else "filling up"
+    text = f"The disk of gateway {view.name} is {state}. When it is full, nothing is recorded. Make room."
     severity = Severity.CRITICAL if is_scarce else Severity.WARNING
     yield Condition(kind=AlertKind.DISK_FULL, subject=subject, severity=severity, text=text)
 
@@ -212,12 +222,17 @@ def _contacts(situation: Situation, is_on: IsOn) -> Iterator[Condition]:
             yield Condition(kind=AlertKind.BIOBOT_STUCK, subject=subject, severity=Severity.WARNING, text=text)
     n_biobots = sum(map(len, contacts.groups))
     share = _WHOLE_SHARE if is_on(AlertKind.SWARM_SPLIT, "swarm") else _SPLIT_SHARE
-    if sum(contacts.n_encounters.values()) < _LEAST_EACH * n_biobots or len(contacts.groups) < 2 or len(contacts.groups[0]) >= share * n_biobots:
+    if (
+        sum(contacts.n_encounters.values()) < _LEAST_EACH * n_biobots
+        or len(contacts.groups) < 2
+        or len(contacts.groups[0]) >= share * n_biobots
+    ):
         return
+    sizes = ", ".join(str(len(group)) for group in contacts.groups[:4])
     listed = "; ".join(_listed(group) for group in contacts.groups[1:3])
     text = (
-        f"The swarm has come apart: groups of {', '.join(str(len(group)) for group in contacts.groups[:4])} biobots have not met each other "
-        f"lately (apart: {listed}). How these parts lie to each other is not known; steer a biobot across, or add some between."
+        f"The swarm has come apart: groups of {sizes} biobots have not met each other lately (apart: {listed}). "
+        "How these parts lie to each other is not known; steer a biobot across, or add some between."
     )
     yield Condition(kind=AlertKind.SWARM_SPLIT, subject="swarm", severity=Severity.WARNING, text=text)
 
@@ -236,7 +251,10 @@ def _landmarks(situation: Situation) -> Iterator[Condition]:
     replaced = [(gateway, change) for gateway, change in situation.recent_changes if change.replacement is not None]
     for gateway, change in (*lost, *replaced):
         if change.replacement is None:
-            fate, severity = "and no other could take its place: that part of the map is less sure. Let another biobot stand there.", Severity.WARNING
+            fate, severity = (
+                "and no other could take its place: that part of the map is less sure. Let another biobot stand there.",
+                Severity.WARNING,
+            )
         else:
             fate, severity = f"and biobot {change.replacement} took its place. Nothing need be done.", Severity.INFO
         text = f"Biobot {change.node} is no landmark any more ({change.reason}), {fate}"

@@ -19,7 +19,6 @@ from mapper.fleet import Fleet
 from mapper.hole_watch import HoleWatch
 from mapper.log import EventLog
 from mapper.recent_contacts import RecentContacts
-from mapper.store import Store
 from mapper.store_thread import StoreThread
 
 _log = EventLog(__name__)
@@ -109,7 +108,9 @@ class AlertWatch:
         conditions = find_conditions(situation, limits=self._limits, is_on=self._book.is_on)
         changed, forgotten = self._book.take([*conditions, *self._holes.conditions(now_ns=now_ns)], now_ns=now_ns, wall_ns=wall_ns)
         for alert in changed:
-            _log.info(f"alert.{'on' if alert.is_on else 'off'}", kind=alert.kind.value, subject=alert.subject, severity=alert.severity.value)
+            _log.info(
+                f"alert.{'on' if alert.is_on else 'off'}", kind=alert.kind.value, subject=alert.subject, severity=alert.severity.value
+            )
         if changed or forgotten or self._unwritten:
             await self._write([alert.id for alert in changed], forgotten)
 

@@ -144,7 +144,7 @@ class Fleet:
         self._shifts_ns = shifts_ns
 
     def silences_s(self) -> dict[NodeId, float]:
-        """Return how long biobots have not been heard [s], by the clocks of the gateways that heard them last, as these last told the time."""
+        """Return how long biobots have not been heard [s], by the clocks of the gateways that heard them last."""
         statuses = {name: known.status for name, known in self._gateways.items() if known.status is not None}
         return {
             node: (statuses[status.gateway].wall_ns - status.last_heard_wall_ns) / 1e9

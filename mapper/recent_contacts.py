@@ -14,7 +14,7 @@ from mapper.types import IntArray
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contacts:
-    """What there was in a span of time: encounters of each biobot, whom it met, and groups that did not meet each other, the largest first."""
+    """What there was in a span of time: encounters of each biobot, and groups that did not meet each other, the largest first."""
 
     n_encounters: Mapping[int, int]
     partners: Mapping[int, int]

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from firmware_protocol.contract.records import JournalRecord
+from mapper.alert_rules import AlertLimits
+from mapper.alert_watch import AlertWatch
 from mapper.api.services import Engines, Services
 from mapper.bus import Bus
 from mapper.changes import Changes, Topic
@@ -52,6 +54,7 @@ class Side:
     accounts: StimulationAccounts
     current_map: CurrentMap
     history: MapHistory
+    alerts: AlertWatch
     pins: PinBoard
 
     @property
@@ -61,6 +64,7 @@ class Side:
             fleet=self.fleet,
             current_map=self.current_map,
             history=self.history,
+            alerts=self.alerts,
             commands=self.desk,
             emergency_stop=EmergencyStop(self.desk),
             mission=MissionDesk(bus=self.bus),
@@ -129,6 +133,17 @@ async def mapper_side(
         window_ns=window_ns,
         clock=clock,
     )
+    alerts = AlertWatch(
+        records=records,
+        fleet=fleet,
+        changes=changes,
+        current_map=current_map,
+        limits=AlertLimits(),
+        sure=0.8,
+        is_connected=lambda: bus.is_connected,
+        faults=lambda: list(current_map.faults),
+    )
+    await alerts.restore()
     if with_map:
         await current_map.restore()
     runs = [intake.run(), desk.run(), commander.run(), *([current_map.run(), history.run()] if with_map else [])]
@@ -146,6 +161,7 @@ async def mapper_side(
             accounts=accounts,
             current_map=current_map,
             history=history,
+            alerts=alerts,
             pins=pins,
         )
         assert not any(task.done() for task in tasks)
