@@ -78,7 +78,8 @@ class AlertLimits:
 class Situation:
     """All that is looked at.
 
-    ``silences_s``: how long biobots were not heard; ``events``, ``recent_changes``: of the last minutes, changes with their gateways; ``contacts``: of the last minutes; ``remedies``: what would help where the data are not enough for the map, None: they are.
+    ``silences_s``: how long biobots were not heard; ``events``, ``recent_changes`` (with their gateways),
+    ``contacts``: of the last minutes; ``remedies``: what would help where the data are not enough for the map, None: they are.
     """
 
     is_connected: bool

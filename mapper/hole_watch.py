@@ -56,7 +56,7 @@ class HoleWatch:
             seen.append(self._see(back, hole))
         absent += [present[hole.hole] for hole in found.vanished if hole.hole in present]
         for track in absent:
-            track.n_missed += 1
+            track.n_missed, track.n_seen = track.n_missed + 1, 0
         self._tell(seen, absent, version=found.after.version, unit=found.length_unit, until_ns=now_ns + TOLD_NS)
         self._tracks = [*seen, *(track for track in absent if track.n_missed < MAPS_IN_A_ROW)]
 

@@ -181,10 +181,7 @@ class Store:
         return self._name
 
     def durable_watermarks(self) -> dict[tuple[str, str], int]:
-        """Return the watermark of each gateway's journal as a power cut would leave it; nothing where the store is in memory.
-
-        Raises ``StoreError`` where the disk does not take it.
-        """
+        """Return each journal's watermark as a power cut would leave it, nothing where the store is in memory; raises ``StoreError``."""
         if self._name is None:
             return {}
         marks = {key: source.offsets.watermark for key, source in self._sources.items()}

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from mapper.access import Access
 from mapper.alert_watch import AlertWatch
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
@@ -38,6 +39,7 @@ class Services:
     emergency_stop: EmergencyStop
     mission: MissionDesk
     accounts: StimulationAccounts
+    access: Access
     pins: PinBoard
     changes: Changes
     is_connected: Callable[[], bool]

@@ -159,7 +159,8 @@ def test_a_swarm_that_came_apart_is_told_until_most_of_it_hangs_together() -> No
 
 @given(batches=st.lists(st.lists(st.tuples(st.integers(1, 5), st.integers(6, 9), st.integers(1, 20)), max_size=8), max_size=5))
 def test_contacts_are_those_of_the_newest_revision_of_each_row(batches: list[list[tuple[int, int, int]]]) -> None:
-    recent, newest = RecentContacts(), {}
+    recent = RecentContacts()
+    newest: dict[int, tuple[int, int]] = {}
     for taken in batches:
         of_row = {row: (a, b) for a, b, row in taken}
         newest |= of_row
