@@ -11,6 +11,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Query, Request, Response
 
 from mapper.access import person_of
+from mapper.api.alert_routes import add_alert_routes
 from mapper.api.command_routes import add_command_routes, add_mission_routes
 from mapper.api.descriptions import describe_answers
 from mapper.api.event_stream import EventStream
@@ -48,8 +49,9 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     _add_record_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
-    add_access_routes(router, services)
     add_past_routes(router, services)
+    add_alert_routes(router, services)
+    add_access_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router
 

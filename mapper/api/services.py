@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from mapper.access import Access
+from mapper.alert_watch import AlertWatch
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
@@ -33,6 +34,7 @@ class Services:
     fleet: Fleet
     current_map: CurrentMap
     history: MapHistory
+    alerts: AlertWatch
     commands: CommandDesk
     emergency_stop: EmergencyStop
     mission: MissionDesk
