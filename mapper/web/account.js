@@ -119,6 +119,9 @@ export class Account {
     const { name, role, is_anonymous: isAnonymous } = this.me;
     element("account-open").textContent = isAnonymous ? "Sign in" : `${name} · ${role}`;
     document.body.dataset.role = role ?? "nobody";
+    // The stop is never taken away; it says what will come of it.
+    element("emergency-lack").hidden = this.can("operator");
+    element("emergency-lack").textContent = isAnonymous ? "sign in first" : `not as ${role}`;
     this.guarded.forEach((_, control) => this.review(control));
     this.showPanel();
   }

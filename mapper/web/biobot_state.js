@@ -34,12 +34,12 @@ export function isBatteryLow(biobot) {
   return biobot.battery_mv !== null && biobot.battery_mv < LOW_BATTERY_MV;
 }
 
-/** {bars: 0 to 4, words}; bars null where nobody has told. */
+/** {bars, words, more}: 1 to 4 bars, the signal [dBm], and all in words; bars null where nobody has told. */
 export function linkOf(biobot) {
   const { rssi_dbm: rssi, lqi } = biobot;
   if (rssi === null) return { bars: null, words: "–" };
   const bars = rssi > STRONG_DBM ? 4 : rssi > FAIR_DBM ? 3 : rssi > WEAK_DBM ? 2 : 1;
-  return { bars, words: `${rssi} dBm`, more: lqi === null ? "" : `link quality ${lqi} of 255` };
+  return { bars, words: `${rssi} dBm`.replace("-", "−"), more: `received at ${rssi} dBm${lqi === null ? "" : `, link quality ${lqi} of 255`}` };
 }
 
 /** How many are in each state. */

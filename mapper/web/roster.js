@@ -69,7 +69,7 @@ export class Roster {
   makeHead() {
     const cells = COLUMNS.map(({ name, label, isNumber, more }) => {
       const button = makeButton(label, () => this.sortBy(name), { title: more ?? "" });
-      return make("th", { scope: "col", role: "columnheader", className: isNumber ? `${name} number` : name }, button);
+      return make("th", { scope: "col", role: "columnheader", className: `c-${name}${isNumber ? " number" : ""}` }, button);
     });
     element("columns").append(...cells, make("th", { scope: "col", role: "columnheader" }, "command"));
     this.showSorted();

@@ -29,19 +29,21 @@ export class RosterRow {
     this.account = account;
     this.biobot = null;
     this.isUnderWay = false;
-    this.cells = Object.fromEntries(COLUMNS.slice(1).map(({ name, isNumber }) => [name, make("td", { role: "cell", className: isNumber ? `${name} number` : name })]));
+    this.cells = Object.fromEntries(COLUMNS.slice(1).map(({ name, isNumber }) => [name, make("td", { role: "cell", className: `c-${name}${isNumber ? " number" : ""}` })]));
     [this.state, this.mode, this.link] = ["state", "mode", "link"].map((name) => {
       const span = make("span");
       this.cells[name].append(span);
       return span;
     });
+    this.dbm = make("span", { className: "dbm" });
+    this.link.append(this.dbm);
     this.buttons = ACTIONS.map(({ action, label, name }) => {
       const button = makeButton(label, () => onCommand(this, action, name(key)), { className: action, tabIndex: -1, "aria-label": name(key) });
       account.guard(button, "operator", () => (this.isUnderWay && action !== "stop" ? `Biobot ${key} has a command under way; only a stop can follow.` : null));
       return button;
     });
     this.steps = make("span", { className: "steps", role: "img", hidden: true }, ...Array.from({ length: LAST_STEP }, () => make("i")));
-    const commands = make("td", { role: "cell", className: "commands" }, make("div", { className: "actions" }, ...this.buttons, this.steps));
+    const commands = make("td", { role: "cell", className: "c-commands" }, make("div", { className: "actions" }, ...this.buttons, this.steps));
     // Said outright: where rows are no table rows to look at, on a phone, they still are to a screen reader.
     this.element = make("tr", { role: "row", "data-key": key }, make("th", { scope: "row", role: "rowheader" }, key), ...Object.values(this.cells), commands);
   }
@@ -53,11 +55,11 @@ export class RosterRow {
     setText(this.mode, mode);
     setClass(this.mode, `mode ${mode}`);
     setText(this.cells.battery, biobot.battery_mv === null ? "–" : `${(biobot.battery_mv / 1000).toFixed(2)} V`);
-    setClass(this.cells.battery, isBatteryLow(biobot) ? "battery number low" : "battery number");
+    setClass(this.cells.battery, isBatteryLow(biobot) ? "c-battery number low" : "c-battery number");
     setText(this.cells.rate, rate === null ? "–" : rate.toFixed(rate < 10 ? 1 : 0));
     this.cells.rate.title = `${count(biobot.n_encounters)} encounters so far`;
     const { bars, words, more } = linkOf(biobot);
-    setText(this.link, words);
+    setText(this.dbm, words);
     setClass(this.link, bars === null ? "link" : `link bars${bars}`);
     this.link.title = more ?? "";
     this.element.title = biobot.is_reachable ? `through ${biobot.gateway}` : `gateway ${biobot.gateway} is away`;
