@@ -8,27 +8,31 @@ from fastapi import FastAPI
 from fastapi.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 
+from mapper.api.door import Door
 from mapper.api.errors import add_error_handlers
 from mapper.api.event_stream import EventStream
 from mapper.api.guards import Guard
 from mapper.api.routes import make_router
 from mapper.api.schemas import Problem
+from mapper.api.security import describe_access
 from mapper.api.services import Services
 
 _ABOUT = """From encounters between walking biobots to a map of the space they walked.
 
 Instants are nanoseconds on the wall clock; lengths have the map's `parameters.length_unit`. Errors are
-`application/problem+json`. Maps have an `ETag`. There are no users: the service listens on loopback unless told otherwise.
+`application/problem+json`. Maps have an `ETag`. Each person has a token, shown as `Authorization: Bearer biobot_...` and never in a
+URL; `GET /api/v1/me` says whose it is. The service listens on loopback unless told otherwise.
 """
 
 
-def create_app(services: Services, *, stream: EventStream, allowed_hosts: Collection[str] | None) -> Guard:
-    """Make the application; ``allowed_hosts`` as in `Guard`."""
-    return Guard(create_unguarded_app(services, stream=stream), allowed_hosts=allowed_hosts)
+def create_app(services: Services, *, stream: EventStream, allowed_hosts: Collection[str] | None, is_tls: bool = False) -> Guard:
+    """Make the application; ``allowed_hosts`` and ``is_tls`` as in `Guard`."""
+    door = Door(create_unguarded_app(services, stream=stream), access=services.access)
+    return Guard(door, allowed_hosts=allowed_hosts, is_tls=is_tls)
 
 
 def create_unguarded_app(services: Services, *, stream: EventStream) -> FastAPI:
-    """Make the application without its outermost layer, for its OpenAPI document."""
+    """Make the application without its outer layers, for its OpenAPI document."""
     # The usual documentation pages load scripts from elsewhere; operators have no internet.
     app = FastAPI(title="biobot mapper", version=version("biobot-gateway"), description=_ABOUT, docs_url=None, redoc_url=None)
     add_error_handlers(app)
@@ -40,12 +44,13 @@ def create_unguarded_app(services: Services, *, stream: EventStream) -> FastAPI:
         return FileResponse(str(web / "index.html"))
 
     app.mount("/static", StaticFiles(directory=str(web)), name="static")
-    _describe_problems(app)
+    _complete_description(app, services)
     return app
 
 
-def _describe_problems(app: FastAPI) -> None:
-    """Put the schema of errors into the OpenAPI document: answers refer to it by name only."""
+def _complete_description(app: FastAPI, services: Services) -> None:
+    """Put what no endpoint says by itself into the OpenAPI document: whom it is for, and the schema of errors."""
     document = app.openapi()
     document.setdefault("components", {}).setdefault("schemas", {})[Problem.__name__] = Problem.model_json_schema()
+    describe_access(document, allows_anonymous_reading=services.access.allows_anonymous_reading)
     app.openapi_schema = document

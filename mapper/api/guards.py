@@ -1,7 +1,7 @@
 """What every request and answer passes: limits, headers that keep the page to itself, and HEAD.
 
-There are no users yet: whoever reaches the port may command. So the service listens on loopback, and a page of another site that
-the operator's browser happens to show must not reach it either: its requests carry another ``Host`` or ``Origin``.
+A page of another site that the operator's browser happens to show must not reach the service: its requests carry another ``Host`` or
+``Origin``. Who may do what is looked at behind this (`door`).
 """
 
 from collections.abc import Collection
@@ -23,7 +23,10 @@ SECURITY_HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), display-capture=(), geolocation=(), microphone=(), payment=(), usb=(), serial=(), bluetooth=()",
 }
+STRICT_TRANSPORT: Final = {"Strict-Transport-Security": "max-age=31536000"}
+"""Sent over TLS alone: a browser that has read it does not come back by http for a year."""
 
 _SAFE_METHODS: Final = {"GET", "HEAD", "OPTIONS"}
 _NO_HEAD: Final = {"/api/v1/events"}  # an endless answer has no length to tell
@@ -36,10 +39,13 @@ class Guard:
     ----------
     allowed_hosts
         Host names (no ports) by which the service may be called; None for any, on a machine that others may reach.
+    is_tls
+        The service is reached by https.
     """
 
-    def __init__(self, app: ASGIApp, *, allowed_hosts: Collection[str] | None) -> None:
+    def __init__(self, app: ASGIApp, *, allowed_hosts: Collection[str] | None, is_tls: bool = False) -> None:
         self._app = app
+        self._headers = SECURITY_HEADERS | (STRICT_TRANSPORT if is_tls else {})
         self._allowed_hosts = None if allowed_hosts is None else {host.lower() for host in allowed_hosts}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -52,7 +58,7 @@ class Guard:
         async def guarded_send(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in SECURITY_HEADERS.items():
+                for name, value in self._headers.items():
                     headers.setdefault(name, value)
                 headers.setdefault("Cache-Control", "no-cache")
             elif is_head and message["type"] == "http.response.body":

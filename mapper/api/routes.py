@@ -25,6 +25,7 @@ from mapper.api.schemas import (
     RoutesView,
 )
 from mapper.api.services import Services
+from mapper.api.token_routes import add_access_routes
 from mapper.api.views import (
     JSON_TYPE,
     json_response,
@@ -62,6 +63,7 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     _add_record_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
+    add_access_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from mapper.access import Access
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
@@ -33,6 +34,7 @@ class Services:
     emergency_stop: EmergencyStop
     mission: MissionDesk
     accounts: StimulationAccounts
+    access: Access
     changes: Changes
     is_connected: Callable[[], bool]
     counters: Callable[[], Mapping[str, int]]

@@ -7,11 +7,11 @@ import httpx
 import pytest
 
 from studies.system import RunningSystem, SystemSettings
-from tests.mapper.serving import serving
+from tests.mapper.serving import serving, shown
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
 
-TURN = {"action": "turn_left", "operator": "anna", "hold_ms": 60_000}
+TURN = {"action": "turn_left", "hold_ms": 60_000}
 
 
 def test_whom_a_killed_mapper_moves_is_stopped_by_the_dead_man(tmp_path: Path) -> None:
@@ -24,7 +24,7 @@ def test_whom_a_killed_mapper_moves_is_stopped_by_the_dead_man(tmp_path: Path) -
 
             def moved() -> int | None:
                 for biobot in range(1, 7):
-                    answer = httpx.post(url + "api/v1/commands", json={**TURN, "biobot": biobot}, timeout=30)
+                    answer = httpx.post(url + "api/v1/commands", json={**TURN, "biobot": biobot}, headers=shown(directory), timeout=30)
                     if answer.status_code == HTTPStatus.OK and answer.json()["outcome"] == "biobot_confirmed":
                         return biobot
                 return None
