@@ -86,10 +86,14 @@ live.follow(["map", "biobots", "commands"], refreshBiobots);
 live.follow(["mission"], refreshMission);
 live.follow(["map", "records"], async () => stateLine.showMap(await net.getJson("/api/v1/map/status")));
 live.follow(["map"], async () => stateLine.showHealth(await net.getJson("/healthz")));
-live.follow(["alerts"], () => alerts.refresh());
+const { paths } = await net.getJson("/openapi.json").catch(() => ({ paths: {} }));
+if ("/api/v1/alerts" in paths) live.follow(["alerts"], () => alerts.refresh());
+else element("tab-alerts").hidden = true;
 live.follow(["commands"], async () => history.show(await net.getJson(`/api/v1/commands?limit=${N_COMMANDS}`)));
-live.follow([], refreshRates);
-every(RATES_MS, async () => live.isUp && refreshRates());
+if ("/api/v1/coverage" in paths) {
+  live.follow([], refreshRates);
+  every(RATES_MS, async () => live.isUp && refreshRates());
+}
 every(LOOK_AGAIN_MS, lookAgain);
 setInterval(() => [stateLine, roster, mission, alerts].forEach((part) => part.tick()), TICK_MS);
 
