@@ -21,6 +21,7 @@ from tests.mapper.browser_side import (
     CHROMIUM,
     DESK,
     PHONE,
+    WAIT_MS,
     Watched,
     accessibility_faults,
     fits_its_width,
@@ -336,6 +337,26 @@ def test_colours_follow_the_system_until_others_are_chosen_and_stay_chosen(site:
         page.reload()
         expect(root).to_have_attribute("data-theme", "dark")
         expect(button).to_have_accessible_name("Colours: dark")
+
+
+def test_the_page_says_since_when_the_mapper_is_away_and_comes_back_with_it(site: Site, tmp_path: Path) -> None:
+    """Not the site's mapper: one that ends, and begins again on its port."""
+    arguments = ["--port", str(free_port())]
+    with ExitStack() as stack:
+        with serving(tmp_path, connect=free_port(), arguments=arguments) as (url, _process):
+            watched = stack.enter_context(opened(site.browser, url, token=token_of(tmp_path), expected=[r"net::ERR_"]))
+            page = watched.page
+            expect(page.locator("#link")).to_have_text("no gateway yet")
+        expect(page.locator("#link")).to_have_text("mapper does not answer")
+        expect(page.locator("#banner")).to_contain_text("No answer from the mapper for")
+        expect(page.locator("#banner")).to_contain_text("What you see is from")
+        expect(page.locator("#said-urgently")).to_contain_text("may be old")
+        page.get_by_role("button", name="Stop all").click()
+        expect(page.get_by_role("alert")).to_contain_text("NOT stopped. The mapper does not answer")
+        with serving(tmp_path, connect=free_port(), arguments=arguments):
+            expect(page.locator("#link")).to_have_text("no gateway yet", timeout=WAIT_MS)
+            expect(page.locator("#banner")).to_be_hidden()
+            expect(page.locator("#account-open")).to_have_text("anna · operator")
 
 
 @pytest.fixture(scope="module")

@@ -169,17 +169,6 @@ def test_a_start_pressed_twice_is_given_once_and_a_stop_meanwhile_goes_out(brows
         assert [command.action for command in gateway.commands] == [StimulationAction.START, StimulationAction.STOP]
 
 
-def test_the_page_says_when_the_mapper_is_gone(browser: Browser, tmp_path: Path) -> None:
-    port = free_port()
-    page = browser.new_page()
-    page.set_default_timeout(WAIT_MS)
-    with serving(tmp_path, connect=port) as (url, _process):
-        page.goto(url)
-        expect(page.locator("#link")).to_contain_text("no gateway yet")
-    expect(page.locator("#link")).to_contain_text("mapper does not answer", timeout=WAIT_MS)
-    page.close()
-
-
 def test_a_page_says_that_its_map_is_of_a_window_and_by_another_method(browser: Browser, tmp_path: Path) -> None:
     port = free_port()
     arguments = ["--window-s", "40", "--method", "paper"]
