@@ -50,7 +50,7 @@ from mapper.watermarks import Watermarks
 _log = EventLog(__name__)
 
 _FLAGS = (
-    "site", "name", "connect", "listen", "store", "host", "port", "allow_remote", "tokens", "certificate", "key", "min_interval_s",
+    "site", "name", "connect", "listen", "store", "host", "port", "allow_remote", "tokens", "min_interval_s",
     "window_s", "log_level",
 )  # fmt: skip
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
@@ -74,8 +74,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--allow-remote", action="store_const", const=True, help="let other machines in; to look then needs a token too")
     parser.add_argument("--tokens", metavar="FILE", help="who may command (default: mapper-tokens.json beside the store)")
     parser.add_argument("--token-file", type=Path, metavar="FILE", help="write the first token there when there is none yet")
-    parser.add_argument("--certificate", metavar="FILE", help="serve the page by https, with this certificate in PEM form")
-    parser.add_argument("--key", metavar="FILE", help="the key to it")
     parser.add_argument("--url-file", type=Path, metavar="FILE", help="write the page's URL there when it is up")
     parser.add_argument("--min-interval-s", type=float, metavar="S", help="shortest time from one map to the next (default: 1)")
     parser.add_argument(
