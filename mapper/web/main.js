@@ -33,7 +33,11 @@ const tabs = new Tabs({ list: element("tabs") });
 const live = new Live();
 const account = new Account({ onChange: () => live.restart() });
 const stateLine = new StateLine({ live });
-const roster = new Roster({ account, live, onCounts: (counts, n) => stateLine.showSwarm(counts, n) });
+const onLandmark = (key) => {
+  tabs.showMap();
+  document.dispatchEvent(new CustomEvent("charts:show-place", { detail: { place: `landmark:${key}` } }));
+};
+const roster = new Roster({ account, live, onCounts: (counts, n) => stateLine.showSwarm(counts, n), onLandmark });
 const mission = new Mission({ panel: element("mission"), account, live });
 const history = new CommandHistory({ panel: element("mission") });
 const onBiobot = (key) => {

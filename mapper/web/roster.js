@@ -9,8 +9,8 @@ import { COLUMNS, RosterRow } from "./roster_row.js";
 const element = (id) => document.getElementById(id);
 
 export class Roster {
-  constructor({ account, live, onCounts }) {
-    Object.assign(this, { account, live, onCounts });
+  constructor({ account, live, onCounts, onLandmark }) {
+    Object.assign(this, { account, live, onCounts, onLandmark });
     this.rows = new Map();
     this.rates = new Map();
     this.sorted = { column: "id", isDown: false };
@@ -126,7 +126,7 @@ export class Roster {
 
   addRow(key) {
     const onCommand = (row, action, label) => this.command(row, action, label);
-    const row = new RosterRow({ key, onCommand, account: this.account });
+    const row = new RosterRow({ key, onCommand, onLandmark: this.onLandmark, account: this.account });
     this.rows.set(key, row);
     return row;
   }
@@ -151,7 +151,7 @@ export class Roster {
     event.preventDefault();
     const next = this.shown[Math.min(Math.max(to, 0), this.shown.length - 1)];
     this.reach(next);
-    next.buttons[row.buttons.indexOf(event.target)].focus();
+    next.buttons[Math.max(row.buttons.indexOf(event.target), 0)].focus();
   }
 
   async command(row, action, label) {
