@@ -28,14 +28,14 @@ MapError
 ├── GatewayAwayError       the gateway that something was given to does not answer
 ├── StopUnansweredError    gateways told nothing of a stop
 ├── OrderRefusedError      no mission took an order
-├── NoTokenError           a request shows no token, or one that opens nothing
-├── RoleError              a token's role does not reach so far
-├── RateLimitError         somebody asks too often
-├── TokenFileError         the file of tokens cannot be used
-├── TokenNameError         a token cannot be made for this name
-├── TokenNotFoundError     there is no token of this id
-├── LastAdminError         the last token that may make others is not revoked
+├── HoleNotFoundError      the map has no hole of this number
+├── PinNotFoundError       there is no pin of this name
+├── PinRefusedError        a pin cannot be kept as things stand
+├── TaskNotFoundError      there is no job of this id
+├── NoResultError          a job has no result, or none yet
 └── TooManyError           a limit on what runs at the same time is reached: ask again later
+
+Those of access are in `mapper.access.errors`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -319,6 +319,51 @@ class OrderRefusedError(MapError):
         self.answers = tuple(answers)
 
 
+class HoleNotFoundError(MapError):
+    """The map has no hole of this number."""
+
+    def __init__(self, *, number: int, n_holes: int) -> None:
+        super().__init__(f"the map has no hole {number}; it has {n_holes}, numbered from 1; GET /api/v1/holes lists them")
+        self.number = number
+        self.n_holes = n_holes
+
+
+class PinNotFoundError(MapError):
+    """There is no pin of this name."""
+
+    def __init__(self, *, name: str) -> None:
+        super().__init__(f"there is no pin {name!r}; GET /api/v1/pins lists those there are")
+        self.name = name
+
+
+class PinRefusedError(MapError):
+    """A pin cannot be kept as things stand; all is as before."""
+
+    def __init__(self, *, name: str, reason: str, next_step: str) -> None:
+        super().__init__(f"pin {name!r} is not kept: {reason}; {next_step}")
+        self.name = name
+        self.reason = reason
+
+
+class TaskNotFoundError(MapError):
+    """There is no job of this id."""
+
+    def __init__(self, *, task: str, kept: int) -> None:
+        super().__init__(f"there is no job {task!r}; of those that have ended, the newest {kept} are kept; GET /api/v1/jobs lists them")
+        self.task = task
+
+
+class NoResultError(MapError):
+    """A job has no result: it has not ended yet, or it failed or was cancelled."""
+
+    def __init__(self, *, task: str, state: str, problem: str | None) -> None:
+        why = "" if problem is None else f": {problem}"
+        next_step = "wait for it" if state in {"waiting", "running"} else "order it again"
+        super().__init__(f"job {task!r} has no result, it is {state}{why}; {next_step}")
+        self.task = task
+        self.state = state
+
+
 class TooManyError(MapError):
     """A limit on what runs at the same time is reached."""
 
@@ -326,64 +371,3 @@ class TooManyError(MapError):
         super().__init__(f"already {limit} {what}, the limit; ask again later")
         self.what = what
         self.limit = limit
-
-
-class NoTokenError(MapError):
-    """A request shows no token where one is needed, or (``is_wrong``) one that opens nothing."""
-
-    def __init__(self, *, is_wrong: bool, needed: str) -> None:
-        how = "send the header `Authorization: Bearer biobot_...`; an admin makes tokens: biobot-mapper tokens add NAME --role ROLE"
-        what = "this token is none of this service, or was revoked" if is_wrong else f"this needs the token of a person who is {needed}"
-        super().__init__(f"{what}; {how}")
-        self.is_wrong = is_wrong
-        self.needed = needed
-
-
-class RoleError(MapError):
-    """The role of a token does not reach so far."""
-
-    def __init__(self, *, name: str, role: str, needed: str) -> None:
-        super().__init__(f"{name} is {role}, but this needs the role {needed}; an admin makes such a token")
-        self.role = role
-        self.needed = needed
-
-
-class RateLimitError(MapError):
-    """Somebody asks too often; ``wait_s`` [s] until there is room for one more."""
-
-    def __init__(self, *, what: str, rate: float, burst: float, wait_s: float) -> None:
-        super().__init__(f"too many {what}: {burst:g} at once and then {rate:g} a second are taken; wait {wait_s:.1f} s")
-        self.wait_s = wait_s
-
-
-class TokenFileError(MapError):
-    """The file of tokens cannot be used; it was not changed."""
-
-    def __init__(self, *, path: str, reason: str, next_step: str) -> None:
-        super().__init__(f"tokens {path}: {reason}; {next_step}")
-        self.path = path
-        self.reason = reason
-
-
-class TokenNameError(MapError):
-    """A token cannot be made for this name."""
-
-    def __init__(self, *, name: str, problem: str) -> None:
-        super().__init__(f"no token is made for the name {name[:80]!r}: {problem}")
-        self.name = name
-
-
-class TokenNotFoundError(MapError):
-    """There is no token of this id."""
-
-    def __init__(self, *, token_id: str) -> None:
-        super().__init__(f"no token has the id {token_id[:80]!r}; biobot-mapper tokens list names all")
-        self.token_id = token_id
-
-
-class LastAdminError(MapError):
-    """The last token that may make others is not revoked over the network: nobody could make one again."""
-
-    def __init__(self, *, token_id: str) -> None:
-        super().__init__(f"token {token_id} is the last of an admin; make another first, or revoke it with biobot-mapper tokens revoke")
-        self.token_id = token_id

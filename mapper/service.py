@@ -38,6 +38,7 @@ from mapper.intake import Intake
 from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
 from mapper.mission_orders import MissionDesk
+from mapper.pin_board import PinBoard
 from mapper.rips_engines import name_engine
 from mapper.service_checks import check_service
 from mapper.service_manager import ServiceManager
@@ -150,11 +151,14 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, token_file: Pat
         watermarks = Watermarks(bus=bus, records=records, name=name)
         commander = Commander(bus=bus, name=name)
         desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
+        pins = PinBoard(records=records, changes=changes)
+        await pins.restore()
         current_map = CurrentMap(
             records=records,
             recipe=make_recipe(config.recipe),
             fleet=fleet,
             changes=changes,
+            pins=pins,
             min_interval_s=serve.min_interval_s,
             window_ns=None if serve.window_s is None else round(serve.window_s * 1e9),
         )
@@ -184,6 +188,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, token_file: Pat
             mission=MissionDesk(bus=bus),
             accounts=accounts,
             access=access,
+            pins=pins,
             changes=changes,
             is_connected=lambda: bus.is_connected,
             counters=counters,
@@ -318,7 +323,8 @@ def _listen(serve: ServiceConfig) -> socket.socket:
             reason="other machines could reach it",
             next_step="leave --host at 127.0.0.1, or let them in with --allow-remote: who looks or commands then needs a token",
         )
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    # Named as TCP, so that connections get TCP_NODELAY: otherwise each answer of two packets waits 40 ms for an acknowledgement.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(target)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from firmware_protocol.configuration import Unfit
 from firmware_protocol.contract.sessions import endpoint_problem
-from mapper.access import read_tokens
+from mapper.access import TokenFileError, read_tokens
 from mapper.config import MapperConfig, tokens_path
-from mapper.errors import StoreError, TokenFileError
+from mapper.errors import StoreError
 from mapper.page_tls import check_page_tls
 from mapper.store_file import expect_fit_file
 from mapper.tls_files import check_tls_files

@@ -2,6 +2,15 @@
 
 from mapper.access.access import Access, person_of
 from mapper.access.buckets import Rate
+from mapper.access.errors import (
+    LastAdminError,
+    NoTokenError,
+    RateLimitError,
+    RoleError,
+    TokenFileError,
+    TokenNameError,
+    TokenNotFoundError,
+)
 from mapper.access.first_token import open_register
 from mapper.access.limits import RateLimits
 from mapper.access.register import NewToken, TokenRegister, add_token, revoke_token
@@ -14,11 +23,18 @@ __all__ = [
     "MAX_NAME",
     "TOKENS_PATH",
     "Access",
+    "LastAdminError",
     "NewToken",
+    "NoTokenError",
     "Person",
     "Rate",
+    "RateLimitError",
     "RateLimits",
     "Role",
+    "RoleError",
+    "TokenFileError",
+    "TokenNameError",
+    "TokenNotFoundError",
     "TokenRecord",
     "TokenRegister",
     "add_token",

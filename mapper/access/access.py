@@ -5,11 +5,11 @@ from collections.abc import MutableMapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
+from mapper.access.errors import NoTokenError, RateLimitError, RoleError
 from mapper.access.limits import RateLimits
 from mapper.access.register import TokenRegister
 from mapper.access.roles import ANONYMOUS, Person, Role, role_needed
 from mapper.access.tokens import token_id
-from mapper.errors import NoTokenError, RateLimitError, RoleError
 from mapper.log import EventLog
 
 _log = EventLog(__name__)

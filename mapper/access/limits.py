@@ -5,8 +5,8 @@ from collections.abc import Callable
 from typing import Final
 
 from mapper.access.buckets import Buckets, Rate
+from mapper.access.errors import RateLimitError
 from mapper.access.roles import Person
-from mapper.errors import RateLimitError
 
 WRONG_TOKENS: Final = Rate(per_s=0.2, burst=10.0)
 """A person who pastes the wrong thing does so a few times; a program that tries tokens is slowed to one in 5 s."""

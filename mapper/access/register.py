@@ -14,10 +14,11 @@ from typing import Final
 
 import msgspec
 
+from mapper.access.errors import LastAdminError, TokenFileError, TokenNotFoundError
 from mapper.access.roles import Person, Role
 from mapper.access.token_file import MAX_VALID, Records, change_tokens, read_tokens, write_secret
 from mapper.access.tokens import ID_BYTES, SECRET_BYTES, Keyring, TokenRecord, mint, n_admins
-from mapper.errors import LastAdminError, TokenFileError, TokenNotFoundError, TooManyError
+from mapper.errors import TooManyError
 from mapper.log import EventLog
 
 _log = EventLog(__name__)

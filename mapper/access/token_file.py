@@ -14,8 +14,8 @@ from typing import Final, TypeVar
 
 import msgspec
 
+from mapper.access.errors import TokenFileError
 from mapper.access.tokens import TokenRecord
-from mapper.errors import TokenFileError
 
 MAX_BYTES: Final = 4 * 2**20
 MAX_VALID: Final = 1000

@@ -12,8 +12,8 @@ from typing import Annotated, Final
 
 import msgspec
 
+from mapper.access.errors import TokenNameError
 from mapper.access.roles import Role
-from mapper.errors import TokenNameError
 
 ID_BYTES: Final = 4
 SECRET_BYTES: Final = 32

@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from importlib import resources
 from importlib.metadata import version
+from typing import Final
 
 from fastapi import FastAPI
 from fastapi.responses import FileResponse
@@ -12,6 +13,9 @@ from mapper.api.door import Door
 from mapper.api.errors import add_error_handlers
 from mapper.api.event_stream import EventStream
 from mapper.api.guards import Guard
+from mapper.api.map_routes import quick_answers
+from mapper.api.packing import Packing
+from mapper.api.quick_answers import QuickAnswers
 from mapper.api.routes import make_router
 from mapper.api.schemas import Problem
 from mapper.api.security import describe_access
@@ -24,17 +28,42 @@ Instants are nanoseconds on the wall clock; lengths have the map's `parameters.l
 URL; `GET /api/v1/me` says whose it is. The service listens on loopback unless told otherwise.
 """
 
+_TAGS: Final = [
+    {"name": "map", "description": "The newest finished map and its numbers"},
+    {"name": "pictures", "description": "The same as SVG, PNG and GeoJSON"},
+    {"name": "places", "description": "Routes, distances, and the operator's pins"},
+    {"name": "jobs", "description": "Maps of other times and methods, computed beside the live one"},
+    {"name": "records", "description": "Encounters as the gateways recorded them"},
+    {"name": "biobots", "description": "Biobots and gateways"},
+    {"name": "commands", "description": "Commands and stops"},
+    {"name": "mission", "description": "The mission and orders to it"},
+    {"name": "access", "description": "Who one is here, and who has tokens"},
+    {"name": "watch", "description": "Changes, health, readiness"},
+]
+
 
 def create_app(services: Services, *, stream: EventStream, allowed_hosts: Collection[str] | None, is_tls: bool = False) -> Guard:
     """Make the application; ``allowed_hosts`` and ``is_tls`` as in `Guard`."""
-    door = Door(create_unguarded_app(services, stream=stream), access=services.access)
+    app = Packing(create_unguarded_app(services, stream=stream))
+    door = Door(QuickAnswers(app, quick_answers(services)), access=services.access)
     return Guard(door, allowed_hosts=allowed_hosts, is_tls=is_tls)
 
 
 def create_unguarded_app(services: Services, *, stream: EventStream) -> FastAPI:
     """Make the application without its outer layers, for its OpenAPI document."""
     # The usual documentation pages load scripts from elsewhere; operators have no internet.
-    app = FastAPI(title="biobot mapper", version=version("biobot-gateway"), description=_ABOUT, docs_url=None, redoc_url=None)
+    app = FastAPI(
+        title="biobot mapper",
+        version=version("biobot-gateway"),
+        description=_ABOUT,
+        docs_url=None,
+        redoc_url=None,
+        openapi_tags=_TAGS,
+        servers=[{"url": "/", "description": "This mapper"}],
+        license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
+        # A generated client calls its functions by these names: they stay.
+        generate_unique_id_function=lambda route: route.name,
+    )
     add_error_handlers(app)
     app.include_router(make_router(services, stream))
     web = resources.files("mapper") / "web"

@@ -10,27 +10,26 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
+from mapper.access import LastAdminError, NoTokenError, RateLimitError, RoleError, TokenFileError, TokenNameError, TokenNotFoundError
 from mapper.api.command_schemas import STOP_PATH
 from mapper.errors import (
     BiobotNotFoundError,
     CommandNotFoundError,
     CommandRefusedError,
     GatewayAwayError,
+    HoleNotFoundError,
     JobError,
-    LastAdminError,
     MapError,
     NoMapYetError,
-    NoTokenError,
+    NoResultError,
     OrderRefusedError,
+    PinNotFoundError,
+    PinRefusedError,
     PlaceError,
-    RateLimitError,
-    RoleError,
     RouteError,
     StopUnansweredError,
     StoreError,
-    TokenFileError,
-    TokenNameError,
-    TokenNotFoundError,
+    TaskNotFoundError,
     TooManyError,
     WorkerDiedError,
 )
@@ -47,7 +46,12 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     LastAdminError: HTTPStatus.CONFLICT,
     BiobotNotFoundError: HTTPStatus.NOT_FOUND,
     CommandNotFoundError: HTTPStatus.NOT_FOUND,
+    HoleNotFoundError: HTTPStatus.NOT_FOUND,
+    PinNotFoundError: HTTPStatus.NOT_FOUND,
+    TaskNotFoundError: HTTPStatus.NOT_FOUND,
     CommandRefusedError: HTTPStatus.CONFLICT,
+    PinRefusedError: HTTPStatus.CONFLICT,
+    NoResultError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
     PlaceError: HTTPStatus.UNPROCESSABLE_ENTITY,
     RouteError: HTTPStatus.NOT_FOUND,

@@ -9,7 +9,7 @@ from http import HTTPStatus
 from typing import Final
 from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from mapper.api.errors import problem
@@ -45,7 +45,9 @@ class Guard:
 
     def __init__(self, app: ASGIApp, *, allowed_hosts: Collection[str] | None, is_tls: bool = False) -> None:
         self._app = app
-        self._headers = SECURITY_HEADERS | (STRICT_TRANSPORT if is_tls else {})
+        # What is compressed for one client must not be given to another.
+        fields = {**SECURITY_HEADERS, **(STRICT_TRANSPORT if is_tls else {}), "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
+        self._fields = [(name.lower().encode(), value.encode()) for name, value in fields.items()]
         self._allowed_hosts = None if allowed_hosts is None else {host.lower() for host in allowed_hosts}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -57,10 +59,9 @@ class Guard:
 
         async def guarded_send(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in self._headers.items():
-                    headers.setdefault(name, value)
-                headers.setdefault("Cache-Control", "no-cache")
+                headers = list(message["headers"])
+                given = {name for name, _ in headers}
+                message = {**message, "headers": headers + [field for field in self._fields if field[0] not in given]}
             elif is_head and message["type"] == "http.response.body":
                 message = {**message, "body": b""}
             await send(message)

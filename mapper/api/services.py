@@ -10,6 +10,7 @@ from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
 from mapper.fleet import Fleet
 from mapper.mission_orders import MissionDesk
+from mapper.pin_board import PinBoard
 from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store_thread import StoreThread
 from mapper.types import KernelsKind
@@ -35,6 +36,7 @@ class Services:
     mission: MissionDesk
     accounts: StimulationAccounts
     access: Access
+    pins: PinBoard
     changes: Changes
     is_connected: Callable[[], bool]
     counters: Callable[[], Mapping[str, int]]

@@ -23,6 +23,7 @@ from mapper.fleet import Fleet
 from mapper.intake import Intake
 from mapper.kernels import choose_kernels
 from mapper.mission_orders import MissionDesk
+from mapper.pin_board import PinBoard
 from mapper.rips_engines import name_engine
 from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store import Store
@@ -52,6 +53,7 @@ class Side:
     current_map: CurrentMap
     access: Access
     tokens: Mapping[Role, NewToken]
+    pins: PinBoard
 
     @property
     def services(self) -> Services:
@@ -64,6 +66,7 @@ class Side:
             mission=MissionDesk(bus=self.bus),
             accounts=self.accounts,
             access=self.access,
+            pins=self.pins,
             changes=self.changes,
             is_connected=lambda: self.bus.is_connected,
             counters=lambda: self.intake.counters,
@@ -118,11 +121,14 @@ async def mapper_side(
     intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=log, accounts=accounts)
     commander = Commander(bus=bus, name="mapper1")
     desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
+    pins = PinBoard(records=records, changes=changes)
+    await pins.restore()
     current_map = CurrentMap(
         records=records,
         recipe=make_recipe(recipe or RecipeConfig()),
         fleet=fleet,
         changes=changes,
+        pins=pins,
         min_interval_s=min_interval_s,
         window_ns=window_ns,
         clock=clock,
@@ -149,6 +155,7 @@ async def mapper_side(
             current_map=current_map,
             access=access,
             tokens=tokens,
+            pins=pins,
         )
         assert not any(task.done() for task in tasks)
     finally:

@@ -15,6 +15,7 @@ from firmware_protocol.contract.commands import Stage
 from firmware_protocol.contract.records import MissionPhase
 from mapper import errors
 from mapper.access import Role
+from mapper.access import errors as access_errors
 from mapper.api.app import create_unguarded_app
 from mapper.api.errors import STATUS_OF
 from mapper.api.event_stream import EventStream
@@ -25,6 +26,9 @@ from tests.mapper.ring import ring_records
 from tests.mapper.web_side import BASE, check_against, client_of, meet, openapi_of
 
 HUGE = 2**64 - 1
+UNKNOWN = {"command_id": "unknown", "biobot": 77, "number": 77}
+"""What stands for the parameters of paths: nothing of that name is there."""
+KNOWN = {"command_id": "one", "biobot": HUGE, "number": 1}
 
 
 def run(
@@ -47,7 +51,7 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         gets = [path for path, methods in document["paths"].items() if "get" in methods and path != "/api/v1/events"]
         await until(lambda: side.current_map.waiting_for.minimum > 0)
         for path in gets:
-            check_against(document, path, await client.get(path.replace("{command_id}", "unknown").replace("{biobot}", "77")))
+            check_against(document, path, await client.get(path.format(**UNKNOWN)))
         records = ring_records()
         last = records[-1].offset
         phase = mission(last + 1, phase=MissionPhase.EXPLORATION, t_ns=0, landmarks=(7, HUGE))
@@ -62,8 +66,8 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         ordered = await client.post("/api/v1/mission/orders", json={"action": "start"})
         check_against(document, "/api/v1/mission/orders", ordered, method="post")
         for path in gets:
-            asked = {"from": "landmark:1001", "to": "landmark:1005"} if path == "/api/v1/route" else {}
-            answer = await client.get(path.replace("{command_id}", "one").replace("{biobot}", str(HUGE)), params=asked)
+            asked = {"from": "landmark:1001", "to": "landmark:1005"} if path in {"/api/v1/route", "/api/v1/distance"} else {}
+            answer = await client.get(path.format(**KNOWN), params=asked)
             assert answer.status_code == HTTPStatus.OK, path
             check_against(document, path, answer)
         phases = (await client.get("/api/v1/mission")).json()
@@ -91,7 +95,7 @@ def test_the_map_is_sent_once_for_a_version() -> None:
             assert (await client.get(path, headers={"If-None-Match": '"other"'})).content == first.content
             head = await client.head(path)
             assert (head.status_code, head.content) == (HTTPStatus.OK, b"")
-            assert head.headers["content-length"] == str(len(first.content))
+            assert head.headers["content-length"] == first.headers["content-length"]
 
     run(story, with_map=True)
 
@@ -319,7 +323,8 @@ def test_every_error_of_the_mapper_that_can_reach_the_web_has_a_status() -> None
         "BusError",
     }
     offline |= {"QueryError", "ListenError", "KernelsError", "SelfTestError", "MapError", "UnlikeMapsError"}
-    leaves = {name for name, value in vars(errors).items() if isinstance(value, type) and issubclass(value, errors.MapError)}
+    both = {**vars(errors), **vars(access_errors)}
+    leaves = {name for name, value in both.items() if isinstance(value, type) and issubclass(value, errors.MapError)}
     assert leaves - offline == {error.__name__ for error in STATUS_OF}
 
 

@@ -12,11 +12,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapper.__main__ import main
-from mapper.access import Rate, Role, TokenRecord, add_token, check_name, contains_token, read_tokens, revoke_token, role_needed
+from mapper.access import (
+    LastAdminError,
+    Rate,
+    Role,
+    TokenFileError,
+    TokenNameError,
+    TokenNotFoundError,
+    TokenRecord,
+    add_token,
+    check_name,
+    contains_token,
+    read_tokens,
+    revoke_token,
+    role_needed,
+)
 from mapper.access.buckets import Buckets
 from mapper.access.token_file import change_tokens
 from mapper.access.tokens import Keyring, mint
-from mapper.errors import LastAdminError, TokenFileError, TokenNameError, TokenNotFoundError
 
 randoms = st.binary(min_size=36, max_size=36)
 
