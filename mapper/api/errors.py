@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 from mapper.access import LastAdminError, NoTokenError, RateLimitError, RoleError, TokenFileError, TokenNameError, TokenNotFoundError
 from mapper.api.command_schemas import STOP_PATH
 from mapper.errors import (
+    AlertNotFoundError,
     BiobotNotFoundError,
     CommandNotFoundError,
     CommandRefusedError,
@@ -20,6 +21,7 @@ from mapper.errors import (
     HoleNotFoundError,
     JobError,
     MapError,
+    MapNotFoundError,
     NoMapYetError,
     NoResultError,
     OrderRefusedError,
@@ -44,6 +46,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     TokenNameError: HTTPStatus.UNPROCESSABLE_ENTITY,
     TokenNotFoundError: HTTPStatus.NOT_FOUND,
     LastAdminError: HTTPStatus.CONFLICT,
+    AlertNotFoundError: HTTPStatus.NOT_FOUND,
     BiobotNotFoundError: HTTPStatus.NOT_FOUND,
     CommandNotFoundError: HTTPStatus.NOT_FOUND,
     HoleNotFoundError: HTTPStatus.NOT_FOUND,
@@ -53,6 +56,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     PinRefusedError: HTTPStatus.CONFLICT,
     NoResultError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
+    MapNotFoundError: HTTPStatus.NOT_FOUND,
     PlaceError: HTTPStatus.UNPROCESSABLE_ENTITY,
     RouteError: HTTPStatus.NOT_FOUND,
     TooManyError: HTTPStatus.TOO_MANY_REQUESTS,
