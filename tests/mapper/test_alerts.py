@@ -84,7 +84,7 @@ def test_a_biobot_is_lost_unless_its_gateway_or_radio_explains_the_silence() -> 
 
 @pytest.mark.parametrize(
     ("battery_mv", "was_low", "severity"),
-    [(0, True, None), (None, False, None), (3550, False, None), (3550, True, "info"), (3499, False, "info"), (3299, False, "warning")],
+    [(0, True, None), (None, False, None), (2450, False, None), (2450, True, "info"), (2399, False, "info"), (2199, False, "warning")],
 )
 def test_a_battery_that_is_low_must_be_well_above_to_be_told_no_more(battery_mv: int | None, was_low: bool, severity: str | None) -> None:
     key = (AlertKind.BATTERY_LOW, "biobot 7")
