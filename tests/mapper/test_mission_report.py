@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 import msgspec.structs
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from playwright.sync_api import Browser, sync_playwright
 
@@ -163,6 +163,7 @@ def test_before_the_first_map_the_report_says_what_it_waits_for() -> None:
 
 
 @given(text=st.text(max_size=40), site=st.text(max_size=20))
+@settings(max_examples=40)
 def test_no_text_from_outside_becomes_part_of_the_page(text: str, site: str) -> None:
     record = msgspec.structs.replace(mission(1, phase=MissionPhase.DONE, t_ns=0), operator=text, reason=f"<b>{text}</b><script>")
     facts = replace(NOTHING, site=site, missions=[record], faults=[f"</ul>{text}"], waiting=f"<i>{text}")
@@ -175,6 +176,7 @@ def test_no_text_from_outside_becomes_part_of_the_page(text: str, site: str) -> 
     counts=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 9), st.booleans()), max_size=20),
     spans=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 10**6) | st.none()), max_size=12),
 )
+@settings(max_examples=40)
 def test_nothing_of_a_timeline_lies_beside_it(counts: list[tuple[int, int, bool]], spans: list[tuple[int, int | None]]) -> None:
     drawn = draw_timeline(
         [TimedCount(wall_ns=wall_ns, n_holes=number, is_enough=enough) for wall_ns, number, enough in sorted(counts)],
