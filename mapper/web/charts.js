@@ -1,7 +1,7 @@
 // What the map says, as the operator sees it: headline, map, diagram, past, places, exports. Fetches what changed, and shows it everywhere.
 
 import { say } from "./announce.js";
-import { setText } from "./elements.js";
+import { setText } from "./dom.js";
 import { DiagramView } from "./diagram_view.js";
 import { ExportsPanel } from "./exports_panel.js";
 import { count } from "./format.js";
@@ -62,7 +62,7 @@ class Charts {
     this.holes = new HoleList(side.holes, choices);
     this.places = new PlacesPanel(side.places, {
       onPut: (pin) => this.putPin(pin), onRemove: (name) => this.removePin(name), onRoute: (from, to) => this.findRoutes(from, to),
-      onClearRoute: () => this.clearRoutes(), onLook: (pin) => pin.spot && this.view.centre(pin.spot), guard: (button) => account.guard(button, "operator"),
+      onClearRoute: () => this.clearRoutes(), onLook: (pin) => pin.spot && this.view.centre(pin.spot), account,
     });
     new ExportsPanel(side.exports, { save: (path, name) => this.net.save(path, name) });
   }

@@ -1,6 +1,7 @@
 // The persistence diagram, or the barcode: what counts as a hole can be pointed at, and is then marked on the map; and the other way round.
 
-import { draw, make } from "./elements.js";
+import { make } from "./dom.js";
+import { draw } from "./svg.js";
 import { length, percent } from "./format.js";
 import { isSame } from "./hole_list.js";
 import { PlotFrame, words } from "./plot_frame.js";
@@ -193,7 +194,7 @@ export class DiagramView {
 
   /** Before the first map. */
   clear(text) {
-    this.root.replaceChildren(make("p", { class: "empty" }, text));
+    this.root.replaceChildren(make("p", { className: "empty" }, text));
   }
 }
 

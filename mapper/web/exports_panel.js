@@ -1,6 +1,6 @@
 // What can be taken away: pictures, map data, encounters, the report.
 
-import { make, setText } from "./elements.js";
+import { make, setText } from "./dom.js";
 
 const FILES = [
   ["Mission report", [["HTML to print", "/api/v1/report.html", "report.html"]]],
@@ -14,10 +14,10 @@ export class ExportsPanel {
   /** `save(path, name)` fetches and keeps a file; a promise that fails with a problem that has `text`. */
   constructor(root, { save }) {
     this.save = save;
-    this.outcome = make("p", { class: "outcome", role: "status", id: "export-outcome" });
-    const rows = FILES.map(([what, files]) => make("div", { class: "export-row", role: "group", "aria-label": what },
-      make("span", {}, what), ...files.map(([form, path, name]) => make("button", { type: "button", "aria-label": `Save ${what.toLowerCase()} as ${form}`, click: () => this.take(path, name) }, form))));
-    root.replaceChildren(...rows, make("p", { class: "note" }, "Files are of the newest map, not of one of the past."), this.outcome);
+    this.outcome = make("p", { className: "outcome", role: "status", id: "export-outcome" });
+    const rows = FILES.map(([what, files]) => make("div", { className: "export-row", role: "group", "aria-label": what },
+      make("span", {}, what), ...files.map(([form, path, name]) => make("button", { type: "button", "aria-label": `Save ${what.toLowerCase()} as ${form}`, onclick: () => this.take(path, name) }, form))));
+    root.replaceChildren(...rows, make("p", { className: "note" }, "Files are of the newest map, not of one of the past."), this.outcome);
   }
 
   async take(path, name) {

@@ -1,6 +1,6 @@
 // What the map says, in figures that can be read from afar: components, holes and how sure they are, and what it is of.
 
-import { make, setText } from "./elements.js";
+import { make, setText } from "./dom.js";
 import { clock, count, length, percent } from "./format.js";
 
 const FIGURES = [["components", true], ["holes", true], ["encounters", false], ["diameter", false]];
@@ -10,13 +10,13 @@ export class Headline {
   constructor(root) {
     this.values = {};
     this.words = {};
-    const list = make("dl", { class: "figures" });
+    const list = make("dl", { className: "figures" });
     for (const [name, isMain] of FIGURES) {
       this.words[name] = make("dt", { id: `${name}-word` }, WORDS[name]);
       this.values[name] = make("dd", { id: name }, "–");
-      list.append(make("div", { class: isMain ? "figure main" : "figure" }, this.words[name], this.values[name]));
+      list.append(make("div", { className: isMain ? "figure main" : "figure" }, this.words[name], this.values[name]));
     }
-    this.notices = make("p", { id: "notices", class: "notices", role: "status" });
+    this.notices = make("p", { id: "notices", className: "notices", role: "status" });
     root.replaceChildren(list, this.notices);
   }
 

@@ -1,6 +1,6 @@
 // Holes as a table that can be read, walked through by keyboard and heard: each is marked on the map and in the diagram as one comes to it.
 
-import { make } from "./elements.js";
+import { make } from "./dom.js";
 import { percent } from "./format.js";
 import { LEAST_DRAWN } from "./map_scene.js";
 
@@ -21,10 +21,10 @@ export class HoleList {
     ];
     this.rows = listed.map(({ hole, chosen, name }) => ({ chosen, element: this.makeRow(hole, chosen, name, unit) }));
     if (!listed.length) {
-      this.root.replaceChildren(make("p", { class: "empty" }, isEnough ? "No hole: as far as biobots met, there is nothing that they walked around." : "No hole can be told yet."));
+      this.root.replaceChildren(make("p", { className: "empty" }, isEnough ? "No hole: as far as biobots met, there is nothing that they walked around." : "No hole can be told yet."));
       return;
     }
-    const head = make("tr", {}, ...["hole", "sure", `area ${unit}²`, `around ${unit}`].map((word, i) => make("th", { scope: "col", class: i ? "number" : null }, word)));
+    const head = make("tr", {}, ...["hole", "sure", `area ${unit}²`, `around ${unit}`].map((word, i) => make("th", { scope: "col", className: i ? "number" : "" }, word)));
     const body = make("tbody", {}, ...this.rows.map(({ element }) => element));
     this.root.replaceChildren(make("table", { "aria-label": "Holes of the map" }, make("thead", {}, head), body));
     if (focused) this.root.querySelector(`[data-row="${focused}"] button`)?.focus({ preventScroll: true });
@@ -33,15 +33,15 @@ export class HoleList {
   makeRow(hole, chosen, name, unit) {
     const key = "hole" in chosen ? `h${chosen.hole}` : `p${chosen.possible}`;
     const button = make("button", {
-      type: "button", class: "plain", "aria-pressed": "false", title: "Bring it into sight on the map",
-      focus: () => this.onHover(chosen), blur: () => this.onHover(null), click: () => this.onKeep(chosen),
+      type: "button", className: "plain", "aria-pressed": "false", title: "Bring it into sight on the map",
+      onfocus: () => this.onHover(chosen), onblur: () => this.onHover(null), onclick: () => this.onKeep(chosen),
     }, name);
     const told = (value, error) => (value == null ? "–" : error == null ? `${round(value)}` : `${round(value)} ± ${round(error)}`);
-    return make("tr", { "data-row": key, class: "hole" in chosen ? null : "possible", pointerenter: () => this.onHover(chosen), pointerleave: () => this.onHover(null) },
+    return make("tr", { "data-row": key, className: "hole" in chosen ? "" : "possible", onpointerenter: () => this.onHover(chosen), onpointerleave: () => this.onHover(null) },
       make("th", { scope: "row" }, button),
-      make("td", { class: "number" }, hole.probability == null ? "–" : percent(hole.probability).replace("over", ">").replace("under", "<")),
-      make("td", { class: "number" }, told(hole.area, hole.area_error)),
-      make("td", { class: "number", title: `from ${round(hole.birth)} to ${round(hole.death)} ${unit} in the diagram` }, told(hole.perimeter, hole.perimeter_error)));
+      make("td", { className: "number" }, hole.probability == null ? "–" : percent(hole.probability).replace("over", ">").replace("under", "<")),
+      make("td", { className: "number" }, told(hole.area, hole.area_error)),
+      make("td", { className: "number", title: `from ${round(hole.birth)} to ${round(hole.death)} ${unit} in the diagram` }, told(hole.perimeter, hole.perimeter_error)));
   }
 
   mark(chosen, kept) {

@@ -1,6 +1,7 @@
 // The card of the map: its canvas with tools, what stands in place of a map, legend and layers, scale, and time.
 
-import { draw, make } from "./elements.js";
+import { make } from "./dom.js";
+import { draw } from "./svg.js";
 
 const LAYERS = [
   ["complex", "ground", "Where places are joined that are no further apart than the scale (the Rips complex)", () => [draw("path", { d: "M1 13 8 2l7 11z", class: "key-complex" })]],
@@ -12,28 +13,28 @@ const LAYERS = [
 
 /** Build it; returns its elements by what they are. */
 export function buildMapCard(root, { onLayer, onZoom, onFit }) {
-  const tool = (id, text, label, click) => make("button", { id, type: "button", "aria-label": label, title: label, click }, text);
-  const canvas = make("canvas", { id: "map-canvas", tabindex: "0", role: "img", "aria-label": "No map yet" });
-  const tip = make("p", { id: "map-tip", class: "tip", hidden: true });
-  const antennae = make("div", { class: "antennae", "aria-hidden": "true" }, make("i"), make("i"), make("i"));
+  const tool = (id, text, label, click) => make("button", { id, type: "button", "aria-label": label, title: label, onclick: click }, text);
+  const canvas = make("canvas", { id: "map-canvas", tabIndex: 0, role: "img", "aria-label": "No map yet" });
+  const tip = make("p", { id: "map-tip", className: "tip", hidden: true });
+  const antennae = make("div", { className: "antennae", "aria-hidden": "true" }, make("i"), make("i"), make("i"));
   const waitingText = make("p", { id: "waiting-text" }, "The map begins when biobots have met.");
   const waitingTime = make("p", { id: "waiting-time" });
-  const waiting = make("div", { id: "waiting", class: "waiting" }, antennae, make("p", {}, make("strong", { id: "waiting-title" }, "Waiting for encounters")), waitingText, waitingTime);
-  const stage = make("div", { class: "stage" }, canvas, tip, waiting);
-  const verdict = make("div", { id: "verdict", class: "verdict", role: "status", hidden: true });
-  const time = make("div", { id: "timeline", class: "timeline" });
-  const scale = make("div", { class: "scale-tools" });
-  const hint = make("p", { class: "hint", id: "orientation" });
+  const waiting = make("div", { id: "waiting", className: "waiting" }, antennae, make("p", {}, make("strong", { id: "waiting-title" }, "Waiting for encounters")), waitingText, waitingTime);
+  const stage = make("div", { className: "stage" }, canvas, tip, waiting);
+  const verdict = make("div", { id: "verdict", className: "verdict", role: "status", hidden: true });
+  const time = make("div", { id: "timeline", className: "timeline" });
+  const scale = make("div", { className: "scale-tools" });
+  const hint = make("p", { className: "hint", id: "orientation" });
   const layers = LAYERS.map(([name, text, title, symbol]) => {
-    const box = make("input", { type: "checkbox", "data-layer": name, checked: true, change: () => onLayer(name, box.checked) });
+    const box = make("input", { type: "checkbox", "data-layer": name, checked: true, onchange: () => onLayer(name, box.checked) });
     return make("label", { title }, box, draw("svg", { viewBox: "0 0 16 16", "aria-hidden": "true" }, ...symbol()), text);
   });
   root.replaceChildren(
-    make("div", { class: "card-head" }, make("h2", { id: "map-title" }, "Map"), hint,
-      make("div", { class: "tools", role: "group", "aria-label": "View" },
-        tool("zoom-out", "−", "Zoom out", () => onZoom(1 / 1.3)), tool("zoom-in", "+", "Zoom in", () => onZoom(1.3)), make("button", { id: "zoom-fit", type: "button", click: onFit }, "Fit"))),
+    make("div", { className: "card-head" }, make("h2", { id: "map-title" }, "Map"), hint,
+      make("div", { className: "tools", role: "group", "aria-label": "View" },
+        tool("zoom-out", "−", "Zoom out", () => onZoom(1 / 1.3)), tool("zoom-in", "+", "Zoom in", () => onZoom(1.3)), make("button", { id: "zoom-fit", type: "button", onclick: onFit }, "Fit"))),
     verdict, stage, time,
-    make("div", { class: "legend" }, make("div", { class: "layers", role: "group", "aria-label": "Layers" }, ...layers), scale));
+    make("div", { className: "legend" }, make("div", { className: "layers", role: "group", "aria-label": "Layers" }, ...layers), scale));
   root.setAttribute("aria-labelledby", "map-title");
   return { canvas, tip, stage, waiting, waitingText, waitingTime, verdict, time, scale, hint };
 }

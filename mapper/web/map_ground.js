@@ -4,6 +4,7 @@
 import { stretch } from "./affine.js";
 
 const BATCH = 50;
+const LOOK_AFTER = 1000;
 const STEP_MS = 7;
 const SHADES = 12;
 const POINT_PX = 3.1;
@@ -129,7 +130,10 @@ function hatch(context, colour, width, height, ratio) {
 /** Small paths: the time to fill one grows faster than its number of triangles. */
 function* triangles(context, flat, places, colour) {
   context.fillStyle = colour;
+  const probe = document.createElement("canvas").getContext("2d");
   for (let begin = 0; begin < flat.length; begin += 3 * BATCH) {
+    // What is asked of a canvas is only noted until somebody looks at it: looking now and then spreads the work over the frames.
+    if ((begin / 3) % LOOK_AFTER === 0) probe.drawImage(context.canvas, 0, 0, 1, 1, 0, 0, 1, 1);
     context.beginPath();
     for (let i = begin; i < Math.min(begin + 3 * BATCH, flat.length); i += 3) {
       context.moveTo(...places[flat[i]]);

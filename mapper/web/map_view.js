@@ -10,7 +10,7 @@ import { Viewport } from "./viewport.js";
 
 const PADDING = { left: 30, right: 30, top: 34, bottom: 46 };
 const COLOURS = ["complex", "edge", "hole", "landmark", "early", "late", "card", "ink", "soft", "warn", "pin", "route"];
-export const MOST_TRIANGLES = 20000;
+export const MOST_TRIANGLES = 60000;
 const NEAR_PX = 12;
 /** A view that has not moved for so long is painted anew; until then the old painting is moved. */
 const SETTLE_MS = 120;

@@ -1,6 +1,6 @@
 // Places that the operator names, and the ways between them. A place is a landmark, a place with a name, or what was tapped on the map.
 
-import { make, setText } from "./elements.js";
+import { make, setText } from "./dom.js";
 import { length } from "./format.js";
 import { ROUTE_NAMES } from "./map_marks.js";
 
@@ -12,32 +12,32 @@ const LEAST_TURN = 0.05;
 export class PlacesPanel {
   /**
    * `onPut(pin)`, `onRemove(name)` and `onRoute(from, to)` return promises that fail with a problem that has `text`; `onClearRoute()`;
-   * `guard(button)` keeps those who may only look from pressing it.
+   * `account` keeps those who may only look from changing places.
    */
-  constructor(root, { onPut, onRemove, onRoute, onClearRoute, onLook, guard }) {
-    Object.assign(this, { root, onPut, onRemove, onRoute, onClearRoute, onLook, guard });
+  constructor(root, { onPut, onRemove, onRoute, onClearRoute, onLook, account }) {
+    Object.assign(this, { root, onPut, onRemove, onRoute, onClearRoute, onLook, account });
     this.pins = [];
     this.landmarks = [];
     this.spot = null;
-    this.list = make("ul", { class: "pins", "aria-label": "Named places" });
-    this.frame = make("p", { class: "note", id: "pins-frame" });
-    this.name = make("input", { id: "pin-name", required: true, maxlength: "64", autocomplete: "off", placeholder: "door" });
+    this.list = make("ul", { className: "pins", "aria-label": "Named places" });
+    this.frame = make("p", { className: "note", id: "pins-frame" });
+    this.name = make("input", { id: "pin-name", required: true, maxLength: 64, autocomplete: "off", placeholder: "door" });
     this.place = make("select", { id: "pin-place", required: true });
     this.x = make("input", { id: "pin-x", type: "number", step: "any", autocomplete: "off" });
     this.y = make("input", { id: "pin-y", type: "number", step: "any", autocomplete: "off" });
-    this.pinButton = make("button", { type: "submit", class: "main" }, "Name it");
+    this.pinButton = make("button", { type: "submit", className: "main" }, "Name it");
     this.from = make("select", { id: "route-from" });
     this.to = make("select", { id: "route-to" });
-    this.routes = make("ol", { class: "routes", id: "routes", "aria-label": "Ways" });
-    this.outcome = make("p", { class: "outcome", role: "status", id: "places-outcome" });
-    guard(this.pinButton);
+    this.routes = make("ol", { className: "routes", id: "routes", "aria-label": "Ways" });
+    this.outcome = make("p", { className: "outcome", role: "status", id: "places-outcome" });
+    account.guard(this.pinButton, "operator");
     root.replaceChildren(
-      make("form", { class: "place-form", "aria-label": "Name a place", submit: (event) => this.put(event) },
+      make("form", { className: "place-form", "aria-label": "Name a place", onsubmit: (event) => this.put(event) },
         field("Name", this.name), field("Place", this.place), field("x [m]", this.x, "narrow"), field("y [m]", this.y, "narrow"), this.pinButton),
       this.list, this.frame,
-      make("form", { class: "place-form", "aria-label": "Find ways", submit: (event) => this.findRoutes(event) },
-        field("From", this.from), field("To", this.to), make("button", { type: "submit", class: "main" }, "Show ways"),
-        make("button", { type: "button", id: "route-clear", click: () => this.clearRoutes() }, "Clear")),
+      make("form", { className: "place-form", "aria-label": "Find ways", onsubmit: (event) => this.findRoutes(event) },
+        field("From", this.from), field("To", this.to), make("button", { type: "submit", className: "main" }, "Show ways"),
+        make("button", { type: "button", id: "route-clear", onclick: () => this.clearRoutes() }, "Clear")),
       this.routes, this.outcome);
     this.renderPlaces();
     this.renderPins();
@@ -81,13 +81,14 @@ export class PlacesPanel {
   }
 
   renderPins() {
+    this.list.querySelectorAll(".remove").forEach((button) => this.account.forget(button));
     this.list.replaceChildren(...this.pins.map((pin) => {
-      const remove = make("button", { type: "button", "aria-label": `Remove ${pin.name}`, click: () => this.remove(pin.name) }, "Remove");
-      this.guard(remove);
+      const remove = make("button", { type: "button", className: "remove", "aria-label": `Remove ${pin.name}`, onclick: () => this.remove(pin.name) }, "Remove");
+      this.account.guard(remove, "operator");
       const known = pin.x === null ? "no known place" : `x ${pin.x} m, y ${pin.y} m`;
       const told = pin.problem ?? (pin.residual == null ? known : `${known}, off by ${length(pin.residual, "m")}`);
-      return make("li", {}, make("button", { type: "button", class: "plain pin-name", title: "Bring it into sight", click: () => this.onLook(pin) }, pin.name),
-        make("span", { class: pin.problem ? "soft bad" : "soft" }, told), remove);
+      return make("li", {}, make("button", { type: "button", className: "plain pin-name", title: "Bring it into sight", onclick: () => this.onLook(pin) }, pin.name),
+        make("span", { className: pin.problem ? "soft bad" : "soft" }, told), remove);
     }));
     const known = this.pins.filter((pin) => pin.x !== null).length;
     const lacking = known >= PINS_OF_A_FRAME ? (this.problems ?? []).join("; ") || "The frame is being made." : `${known} of ${PINS_OF_A_FRAME} known places (x and y): with ${PINS_OF_A_FRAME} the map is no longer turned or mirrored, and in metres.`;
@@ -171,7 +172,7 @@ function sides(route) {
 }
 
 function field(label, input, kind = "") {
-  return make("label", { class: `field ${kind}` }, make("span", {}, label), input);
+  return make("label", { className: `field ${kind}` }, make("span", {}, label), input);
 }
 
 function fillSelect(select, options) {

@@ -1,6 +1,6 @@
 // Axes of a plot as SVG, in pixels of the element that holds it.
 
-import { draw } from "./elements.js";
+import { draw } from "./svg.js";
 import { roundBelow } from "./format.js";
 
 export class PlotFrame {

@@ -1,6 +1,6 @@
 // At which scale the complex is drawn: the map's own, or one that the operator chooses. All lengths are fetched when it is first touched.
 
-import { make, setText } from "./elements.js";
+import { make, setText } from "./dom.js";
 import { length } from "./format.js";
 
 const STEPS = 400;
@@ -14,10 +14,10 @@ export class ScaleSlider {
     this.map = null;
     this.share = null;
     this.range = make("input", { id: "scale", type: "range", min: "0", max: String(STEPS), value: "0", "aria-label": "Scale at which places are joined" });
-    this.value = make("output", { id: "epsilon", for: "scale" });
-    this.own = make("button", { id: "scale-own", type: "button", title: "The scale that shows this map's holes best", "aria-pressed": "true", click: () => this.choose(null) }, "auto");
+    this.value = make("output", { id: "epsilon", htmlFor: "scale" });
+    this.own = make("button", { id: "scale-own", type: "button", title: "The scale that shows this map's holes best", "aria-pressed": "true", onclick: () => this.choose(null) }, "auto");
     this.range.addEventListener("input", () => this.choose((Number(this.range.value) / STEPS) * this.limit()));
-    root.replaceChildren(make("label", { for: "scale" }, "scale"), this.range, this.value, this.own);
+    root.replaceChildren(make("label", { htmlFor: "scale" }, "scale"), this.range, this.value, this.own);
   }
 
   /** `canChoose` false: the lengths of this map are not kept. */

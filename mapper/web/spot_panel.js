@@ -1,15 +1,15 @@
 // What can be done with the place on the map that was tapped: name it, or have a way begin or end there.
 
-import { make } from "./elements.js";
+import { make } from "./dom.js";
 
 export class SpotPanel {
   constructor(stage, canvas, { onName, onFrom, onTo, onClose }) {
     Object.assign(this, { stage, canvas, onClose });
-    const button = (text, action) => make("button", { type: "button", click: () => { this.hide(); action(); } }, text);
-    this.first = button("Name it", onName);
-    this.panel = make("div", { id: "spot", class: "spot", role: "group", "aria-label": "The place that was chosen on the map", hidden: true },
-      make("span", {}, "This place"), this.first, button("Way from here", onFrom), button("Way to here", onTo),
-      make("button", { type: "button", "aria-label": "Close", click: () => this.close() }, "✕"));
+    const button = (text, action) => make("button", { type: "button", onclick: () => { this.hide(); action(); } }, text);
+    this.first = button("Name", onName);
+    this.panel = make("div", { id: "spot", className: "spot", role: "group", "aria-label": "The place that was chosen on the map", hidden: true },
+      make("span", {}, "This place"), this.first, button("Way from", onFrom), button("Way to", onTo),
+      make("button", { type: "button", "aria-label": "Close", onclick: () => this.close() }, "✕"));
     this.panel.addEventListener("keydown", (event) => event.key === "Escape" && this.close());
     stage.append(this.panel);
   }

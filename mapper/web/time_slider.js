@@ -1,6 +1,6 @@
 // Maps of the past: slide, step or play through them, and come back to the live one. Beside it stands what has changed since.
 
-import { make, setText } from "./elements.js";
+import { make, setText } from "./dom.js";
 import { age, clock } from "./format.js";
 
 const PLAY_MS = 900;
@@ -20,9 +20,9 @@ export class TimeSlider {
       this.stop();
       this.pick(this.maps[Number(this.range.value)].version);
     });
-    this.goLive = make("button", { id: "go-live", type: "button", class: "go-live", "aria-pressed": "true", click: () => this.returnToLive() }, "Live");
-    this.when = make("p", { id: "time-text", class: "time-text", role: "status" });
-    root.replaceChildren(make("div", { class: "time-row", role: "group", "aria-label": "Maps of the past" }, this.back, this.play, this.on, this.range, this.goLive), this.when);
+    this.goLive = make("button", { id: "go-live", type: "button", className: "go-live", "aria-pressed": "true", onclick: () => this.returnToLive() }, "Live");
+    this.when = make("p", { id: "time-text", className: "time-text", role: "status" });
+    root.replaceChildren(make("div", { className: "time-row", role: "group", "aria-label": "Maps of the past" }, this.back, this.play, this.on, this.range, this.goLive), this.when);
     root.addEventListener("keydown", (event) => {
       if (event.key === "Escape" && this.version !== null) this.returnToLive();
     });
@@ -32,7 +32,7 @@ export class TimeSlider {
   }
 
   button(id, text, label, click) {
-    return make("button", { id, type: "button", "aria-label": label, title: label, click }, text);
+    return make("button", { id, type: "button", "aria-label": label, title: label, onclick: click }, text);
   }
 
   /** All that are kept, the oldest first: [{version, wall_ns, ...}]. */
@@ -97,7 +97,7 @@ export class TimeSlider {
     const at = this.place(), map = this.maps[at];
     if (Number(this.range.value) !== at) this.range.value = String(at);
     const isLive = this.version === null;
-    const text = isLive ? "Live: the newest map" : `${clock(map.wall_ns / 1e9)}, ${age(this.live.serverNow() - map.wall_ns / 1e9)} ago`;
+    const text = isLive ? `Live: the newest map. Slide back to see ${this.maps.length} earlier ones, from ${clock(this.maps[0].wall_ns / 1e9)} on` : `${clock(map.wall_ns / 1e9)}, ${age(this.live.serverNow() - map.wall_ns / 1e9)} ago`;
     setText(this.when, this.change ? `${text}. Since then: ${this.change}.` : text);
     this.range.setAttribute("aria-valuetext", text);
     this.goLive.setAttribute("aria-pressed", String(isLive));

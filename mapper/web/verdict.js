@@ -1,6 +1,6 @@
 // "Not enough data yet": why, what would help, and how long it is likely to take, in place of holes that nobody should rely on.
 
-import { make, setText } from "./elements.js";
+import { make, setText } from "./dom.js";
 
 /** A time to wait, as people say it. */
 export function waitText(seconds) {
@@ -14,10 +14,10 @@ export class Verdict {
   constructor(root) {
     this.root = root;
     this.title = make("strong", {}, "Not enough data yet");
-    this.wait = make("span", { class: "verdict-wait" });
-    this.reasons = make("p", { class: "verdict-reasons" });
-    this.remedies = make("p", { class: "verdict-remedies" });
-    root.replaceChildren(make("p", { class: "verdict-head" }, this.title, this.wait), this.reasons, this.remedies);
+    this.wait = make("span", { className: "verdict-wait" });
+    this.reasons = make("p", { className: "verdict-reasons" });
+    this.remedies = make("p", { className: "verdict-remedies" });
+    root.replaceChildren(make("p", { className: "verdict-head" }, this.title, this.wait), this.reasons, this.remedies);
     this.data = null;
     this.waitS = null;
   }
