@@ -1,6 +1,6 @@
 // What the map says, as the operator sees it: headline, map, diagram, past, places, exports. Fetches what changed, and shows it everywhere.
 
-import { say } from "./announce.js";
+import { say, tell } from "./announce.js";
 import { setText } from "./dom.js";
 import { DiagramView } from "./diagram_view.js";
 import { ExportsPanel } from "./exports_panel.js";
@@ -17,6 +17,8 @@ import { readLengths } from "./simplices.js";
 import { SpotPanel } from "./spot_panel.js";
 import { TimeSlider } from "./time_slider.js";
 import { Verdict, waitText } from "./verdict.js";
+
+const CONFLICT = 409, NOT_YET = 503;
 
 /** Fill the three elements and keep them up to date; `live`, `net` and `account` are the page's. */
 export function createCharts({ headline, map, shape, live, net, account }) {
@@ -70,15 +72,13 @@ class Charts {
   async refreshMap() {
     try {
       const [map, diagram] = await Promise.all([this.fetchMap(), this.fetchDiagram()]);
-      const isNew = map !== null;
       this.newest = { map: map ?? this.newest.map, diagram: diagram ?? this.newest.diagram };
-      if (isNew) this.lengths = null;
     } catch (problem) {
       // Before the first map; the status says what it waits for.
-      if (problem.status === 503) return;
+      if (problem.status === NOT_YET) return;
       throw problem;
     }
-    if (!this.shown.isLive) return;
+    if (this.time.version !== null) return;
     await this.show({ ...this.newest, isLive: true });
     if (this.newest.map.data?.is_enough === false) await this.expect();
     if (this.routeEnds) await this.findRoutes(...this.routeEnds).catch(() => this.places.clearRoutes());
@@ -106,8 +106,11 @@ class Charts {
     const { map, isLive } = shown;
     this.card.waiting.hidden = true;
     if (before.map?.version !== map.version) this.hovered = this.kept = null;
+    if (!isLive) {
+      this.scale.share = null;
+      this.verdict.expect(null);
+    }
     this.scale.show(map, { canChoose: isLive });
-    if (!isLive) this.scale.share = null;
     this.view.show(map);
     await this.showComplex();
     this.verdict.show(map.data);
@@ -126,24 +129,56 @@ class Charts {
   async showComplex() {
     const { map, diagram, isLive } = this.shown;
     const share = isLive ? this.scale.share : null;
-    if (share !== null && !this.lengths) {
-      const buffer = await (await this.net.getBlob("/api/v1/map/lengths")).arrayBuffer();
-      this.lengths = readLengths(buffer, this.newest.map.points.map((point) => point.component));
-    }
-    this.view.setComplex(this.lengths, share);
-    this.diagram.show(diagram, map, this.scale.drawn(share === null));
+    const lengths = share === null ? null : await this.fetchLengths();
+    // Meanwhile another map may have come, or another scale.
+    if (this.shown.map !== map || (isLive ? this.scale.share : null) !== share) return;
+    if (lengths !== null) this.view.setComplex(lengths, share);
+    else if (this.isOtherScale) this.view.setComplex(null, null);
+    this.isOtherScale = lengths !== null;
+    this.diagram.show(diagram, map, this.scale.drawn(lengths === null));
   }
 
-  /** null: the newest again. */
-  async showVersion(version) {
-    if (version === null) {
-      this.shown.isLive = true;
-      if (this.newest.map) await this.show({ ...this.newest, isLive: true });
-      return;
+  /** The lengths of the newest map; null, and the scale is the map's own again, where they are not to be had. */
+  async fetchLengths() {
+    const { map } = this.newest;
+    if (this.lengths?.map === map) return this.lengths.parts;
+    try {
+      const buffer = await (await this.net.getBlob(`/api/v1/map/lengths?version=${map.version}`)).arrayBuffer();
+      const parts = readLengths(buffer, map.points.map((point) => point.component));
+      if (this.newest.map === map) this.lengths = { map, parts };
+      return parts;
+    } catch (problem) {
+      if (problem.status === undefined) throw problem;
+      // Another map is there already, and will be shown.
+      if (problem.status === CONFLICT) return null;
+      tell(problem.text, false);
+      this.scale.choose(null);
+      return null;
     }
+  }
+
+  /** null: the newest again. Who slides on while one is fetched sees the last one that was asked for. */
+  showVersion(version) {
+    this.wanted = version;
+    this.sliding ??= this.slide().finally(() => (this.sliding = null));
+    return this.sliding;
+  }
+
+  async slide() {
+    for (let version; version !== this.wanted;) {
+      version = this.wanted;
+      try {
+        if (version === null) await this.show({ ...this.newest, isLive: true });
+        else await this.showPast(version);
+      } catch (problem) {
+        if (problem.status === undefined) throw problem;
+        tell(problem.text, false);
+      }
+    }
+  }
+
+  async showPast(version) {
     const [map, diagram, change] = await Promise.all([this.past.map(version), this.past.diagram(version), this.past.changeBetween(version, this.newest.map.version)]);
-    // Somebody may have slid on meanwhile.
-    if (this.time.version !== version) return;
     await this.show({ map, diagram, isLive: false });
     this.time.tellChange(change);
   }
@@ -183,7 +218,7 @@ class Charts {
   markPlaces() {
     if (!this.view.scene) return;
     const { scene } = this.view;
-    for (const pin of this.pins ?? []) pin.spot = pin.onMap ? scene.toPicture([pin.onMap.x, pin.onMap.y], pin.onMap.component) : null;
+    for (const pin of this.pins ?? []) pin.spot = pin.map_x === null ? null : scene.toPicture([pin.map_x, pin.map_y], pin.component);
     const isLive = this.shown.isLive;
     this.view.mark({ pins: isLive ? (this.pins ?? []).filter((pin) => pin.spot).map((pin) => ({ name: pin.name, place: pin.spot })) : [], routes: isLive ? this.routes ?? [] : [] });
   }

@@ -74,8 +74,12 @@ export class DiagramView {
     }
     svg.append(frame.axes(`opens at [${unit}]`, `closes at [${unit}]`));
     svg.append(draw("line", { x1: frame.x(0), y1: frame.y(0), x2: frame.x(frame.limit), y2: frame.y(frame.limit), class: "axis" }));
-    for (const line of this.lines().filter(({ length: least }) => least > 0 && least < frame.limit)) {
-      svg.append(draw("line", { x1: frame.x(0), y1: frame.y(line.length), x2: frame.x(frame.limit - line.length), y2: frame.y(frame.limit), class: "threshold" }, draw("title", {}, line.text)));
+    for (const line of this.lines().filter((one) => one.isRule)) {
+      // Where both limits ask for the same, and where the curve leaves the picture at the top.
+      const births = [0, line.ratio > 1 ? line.length / (line.ratio - 1) : 0, frame.limit].filter((birth, i, all) => i === 0 || birth > all[i - 1]);
+      const places = births.map((birth) => [birth, limitOf(line, birth)]);
+      const inside = clipTop(places, frame.limit).map(([birth, death]) => `${frame.x(birth)} ${frame.y(death)}`);
+      if (inside.length > 1) svg.append(draw("path", { d: `M${inside.join("L")}`, class: "threshold" }, draw("title", {}, line.text)));
     }
     if (this.scale !== null) {
       const at = this.scale;
@@ -102,8 +106,8 @@ export class DiagramView {
 
   drawKey(svg, frame) {
     const rows = [["rect", { x: 0, y: 1, width: 8, height: 8, class: "real0" }, "component"], ["circle", { cx: 4, cy: 5, r: 5.5, class: "real1 still" }, "hole"], ["circle", { cx: 4, cy: 5, r: 4, class: "maybe1 still" }, "maybe one"], ["circle", { cx: 4, cy: 5, r: 3, class: "dim1 faint" }, "noise"]];
-    if (this.lines().some((line) => line.length > 0)) rows.push(["line", { x1: -4, y1: 5, x2: 10, y2: 5, class: "threshold" }, "limit of noise"]);
-    if (this.lines().some((line) => line.band > 0)) rows.push(["rect", { x: -3, y: 0, width: 13, height: 10, class: "doubt" }, "within error"]);
+    if (this.lines().some((line) => line.isRule)) rows.push(["line", { x1: -4, y1: 5, x2: 10, y2: 5, class: "threshold" }, "limit of noise"]);
+    if (this.lines().some((line) => line.band > 0)) rows.push(["rect", { x: -3, y: 0, width: 13, height: 10, class: "doubt" }, "error band"]);
     const x = frame.right - 92, y = frame.bottom - 8 - 16 * rows.length;
     const key = draw("g", { transform: `translate(${x} ${y})`, "pointer-events": "none", "aria-hidden": "true" });
     key.append(draw("rect", { x: -12, y: -6, width: 106, height: 16 * rows.length + 8, rx: 5, class: "key" }));
@@ -123,25 +127,21 @@ export class DiagramView {
     const step = Math.min((frame.bottom - top) / Math.max(bars.length, 6), 22);
     svg.append(frame.axes(`scale [${unit}]`, null));
     svg.append(words("parts", { x: left - 6, y: top + 9, "text-anchor": "end" }), words("loops", { x: left - 6, y: top + 9 + step * parts.length, "text-anchor": "end" }));
-    const line = this.lines().length === 1 && this.lines()[0].length > 0 ? this.lines()[0] : null;
-    const isSorted = line && loops.every((interval, i) => !i || longest(loops[i - 1], interval) <= 0);
-    const nLong = line ? loops.filter((interval) => lasting(interval) > line.length).length : 0;
-    const numbers = [];
+    const beside = [];
     bars.forEach(([dimension, interval], row) => {
       const end = interval.death === null ? frame.right : frame.x(interval.death);
       const kind = dimension ? rank(interval) : interval.is_real ? 2 : 0;
       const mark = draw("rect", { x: frame.x(interval.birth), y: top + step * row + 1, width: Math.max(1, end - frame.x(interval.birth)), height: Math.max(2, step - 2.5), rx: 2, class: [`dim${dimension} faint`, "maybe1", `real${dimension}`][kind] });
       if (dimension) this.finish(mark, interval);
-      if (dimension && kind === 2) numbers.push(words(`${interval.chosen.hole + 1}`, { x: Math.min(end + 5, frame.right - 8), y: top + step * row + step / 2 + 4, class: "number-beside", "aria-hidden": "true" }));
+      if (dimension && kind === 2) beside.push(words(`${interval.chosen.hole + 1}`, { x: Math.min(end + 5, frame.right - 8), y: top + step * row + step / 2 + 4, class: "number-beside", "aria-hidden": "true" }));
+      const line = dimension ? this.lines().find((one) => one.isRule && one.component === interval.component) : null;
+      const least = line ? frame.x(limitOf(line, interval.birth)) : frame.right;
+      if (least < frame.right) beside.push(draw("line", { x1: least, y1: top + step * row, x2: least, y2: top + step * (row + 1), class: "threshold tick" }, draw("title", {}, line.text)));
       if (!dimension) mark.append(draw("title", {}, `component, ${lifetime(interval, unit)}`));
       svg.append(mark);
     });
-    svg.append(...numbers);
+    svg.append(...beside);
     if (this.scale !== null) svg.append(draw("line", { x1: frame.x(this.scale), y1: top - 6, x2: frame.x(this.scale), y2: frame.bottom, class: "scale" }, draw("title", {}, `drawn at ${length(this.scale, unit)}: bars that cross it are open`)));
-    if (isSorted) {
-      const y = top + step * (parts.length + nLong);
-      svg.append(draw("line", { x1: left, y1: y, x2: frame.right, y2: y, class: "threshold" }, draw("title", {}, line.text)), words("limit of noise", { x: frame.right, y: y - 4, "text-anchor": "end", class: "note" }));
-    }
   }
 
   loops(order) {
@@ -158,15 +158,15 @@ export class DiagramView {
   }
 
   /**
-   * Of each component that has one: `length`, above which the trained rule takes a loop for a hole, and `band`, above which one is there in
-   * 95 of 100 maps; null where nobody knows.
+   * Of each component: what the trained rule asks of a loop (`length`, and `ratio` of death over birth; `isRule`: anything at all), and
+   * `band`: longer ones are there in 95 of 100 maps; null where nobody knows.
    */
   lines() {
     const { length_unit: unit, thresholds = [] } = this.diagram;
-    const texts = (one, least) => `component ${one.component + 1}: the trained rule takes a loop that lasts longer than ${length(least, unit)} for a hole`;
     return thresholds.filter((one) => one.dimension === 1).map((one) => {
-      const least = one.rule_length ?? one.least_length ?? null;
-      return { component: one.component, length: least, band: one.sure_length ?? null, text: least === null ? "" : texts(one, least) };
+      const least = one.least_length ?? 0, ratio = one.least_ratio ?? 0;
+      const asks = [least > 0 ? `lasts longer than ${length(least, unit)}` : "", ratio > 0 ? `closes at ${Number(ratio.toPrecision(3))} times where it opens, or later` : ""].filter(Boolean);
+      return { component: one.component, length: least, ratio, isRule: asks.length > 0, band: one.sure_length ?? null, text: `component ${one.component + 1}: the trained rule takes a loop for a hole that ${asks.join(" and ")}` };
     });
   }
 
@@ -196,6 +196,20 @@ export class DiagramView {
   clear(text) {
     this.root.replaceChildren(make("p", { className: "empty" }, text));
   }
+}
+
+/** Where a loop that opens at `birth` must close, at least, to be taken for a hole. */
+function limitOf({ length: least, ratio }, birth) {
+  return Math.max(birth + least, birth * ratio);
+}
+
+/** Cut a rising line where it passes `top`. */
+function clipTop(places, top) {
+  const end = places.findIndex(([, y]) => y > top);
+  if (end < 0) return places;
+  if (end === 0) return [];
+  const [[x0, y0], [x1, y1]] = [places[end - 1], places[end]];
+  return [...places.slice(0, end), [x0 + ((x1 - x0) * (top - y0)) / (y1 - y0), top]];
 }
 
 /** 2: a hole of the map, 1: may be one, 0: neither. */

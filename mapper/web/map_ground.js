@@ -4,7 +4,7 @@
 import { stretch } from "./affine.js";
 
 const BATCH = 50;
-const LOOK_AFTER = 1000;
+const LOOK_AFTER = 4000;
 const STEP_MS = 7;
 const SHADES = 12;
 const POINT_PX = 3.1;

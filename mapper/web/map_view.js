@@ -5,12 +5,13 @@ import { listen } from "./gestures.js";
 import { Ground } from "./map_ground.js";
 import { drawMarks } from "./map_marks.js";
 import { isInside, makeScene } from "./map_scene.js";
-import { complexAt, thin } from "./simplices.js";
+import { complexAt, cover } from "./simplices.js";
 import { Viewport } from "./viewport.js";
 
 const PADDING = { left: 30, right: 30, top: 34, bottom: 46 };
 const COLOURS = ["complex", "edge", "hole", "landmark", "early", "late", "card", "ink", "soft", "warn", "pin", "route"];
-export const MOST_TRIANGLES = 60000;
+/** Of a complex far larger than this not all triangles are looked for. */
+const MOST_TRIANGLES = 200_000;
 const NEAR_PX = 12;
 /** A view that has not moved for so long is painted anew; until then the old painting is moved. */
 const SETTLE_MS = 120;
@@ -42,16 +43,18 @@ export class MapView {
     });
   }
 
-  /** Show a map; its complex is set by `setComplex`. */
+  /** Show a map, with its complex at its own scale until another is set. */
   show(map) {
     this.scene = makeScene(map);
+    this.setComplex(null, null);
     this.describe();
   }
 
   /** `lengths` and `share`: the complex at a scale other than the map's own; a share of null is the map's own. */
   setComplex(lengths, share) {
-    const own = this.scene.map.complex;
-    this.complex = share === null ? { edges: own.edges, triangles: thin(own.triangles.flat(), MOST_TRIANGLES) } : complexAt(lengths, share, { most: MOST_TRIANGLES });
+    const { places, map } = this.scene;
+    const { edges, triangles } = share === null ? { edges: map.complex.edges, triangles: map.complex.triangles.flat() } : complexAt(lengths, share, { most: MOST_TRIANGLES });
+    this.complex = { edges, triangles: cover(triangles, places) };
     this.repaint();
   }
 

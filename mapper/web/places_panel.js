@@ -50,7 +50,7 @@ export class PlacesPanel {
     this.renderPlaces();
   }
 
-  /** `pins`: [{name, place, x, y, problem, residual}]; `isFramed`: they fix the frame; `problems`: what stands in the way of that. */
+  /** `pins`: [{name, place, x, y, problem, residual_m}]; `isFramed`: they fix the frame; `problems`: what stands in the way of that. */
   showPins(pins, { isFramed, problems }) {
     Object.assign(this, { pins, isFramed, problems });
     this.renderPlaces();
@@ -86,7 +86,7 @@ export class PlacesPanel {
       const remove = make("button", { type: "button", className: "remove", "aria-label": `Remove ${pin.name}`, onclick: () => this.remove(pin.name) }, "Remove");
       this.account.guard(remove, "operator");
       const known = pin.x === null ? "no known place" : `x ${pin.x} m, y ${pin.y} m`;
-      const told = pin.problem ?? (pin.residual == null ? known : `${known}, off by ${length(pin.residual, "m")}`);
+      const told = pin.problem ?? (pin.residual_m === null ? known : `${known}, off by ${length(pin.residual_m, "m")}`);
       return make("li", {}, make("button", { type: "button", className: "plain pin-name", title: "Bring it into sight", onclick: () => this.onLook(pin) }, pin.name),
         make("span", { className: pin.problem ? "soft bad" : "soft" }, told), remove);
     }));

@@ -21,8 +21,8 @@ export function readLengths(buffer, components) {
 }
 
 /**
- * The edges that are no longer than a share of the diameter, and the triangles that they bound, as a flat list of triples: no more than
- * `most` of them, evenly taken. Of a complex that is far larger only every so many-th edge is looked at for triangles: they hide each other.
+ * The edges that are no longer than a share of the diameter, and the triangles that they bound, as a flat list of triples. Of a complex with
+ * far more than `most` triangles only every so many-th edge is looked at for them: they hide each other.
  */
 export function complexAt(lengths, share, { most }) {
   const limit = share * 65535;
@@ -39,7 +39,7 @@ export function complexAt(lengths, share, { most }) {
       for (const j of above[i]) edges.push([points[i], points[j]]);
     }
     const nAtMost = above.reduce((sum, near) => sum + near.length ** 2 / 2, 0);
-    const stride = Math.max(1, Math.ceil(nAtMost / (8 * most)));
+    const stride = Math.max(1, Math.ceil(nAtMost / (4 * most)));
     for (let i = 0; i < n; i += 1) {
       const near = above[i];
       for (let p = 0; p < near.length; p += 1) {
@@ -50,15 +50,45 @@ export function complexAt(lengths, share, { most }) {
       }
     }
   }
-  return { edges, triangles: thin(triangles, most) };
+  return { edges, triangles };
 }
 
-/** Of a flat list of triples no more than `most`, evenly taken. */
-export function thin(triples, most) {
-  const number = triples.length / 3;
-  const step = Math.max(1, Math.ceil(number / most));
-  if (step === 1) return triples;
+const CLASSES = 24;
+
+/**
+ * Of triangles (a flat list of triples) so many that they cover what all of them cover, but for slivers: the larger first, one is taken
+ * where an edge of its has none on that side yet. A Rips complex has many times more, which only hide each other.
+ */
+export function cover(flat, places) {
+  const n = places.length, number = flat.length / 3;
+  const areas = new Float64Array(number);
+  let largest = 0;
+  for (let i = 0; i < number; i += 1) {
+    areas[i] = twiceArea(places[flat[3 * i]], places[flat[3 * i + 1]], places[flat[3 * i + 2]]);
+    largest = Math.max(largest, Math.abs(areas[i]));
+  }
+  // Sorted into classes, each half as large as the one before: exact order would cost more than it is worth.
+  const classes = Array.from({ length: CLASSES }, () => []);
+  for (let i = 0; i < number; i += 1) classes[Math.min(CLASSES - 1, Math.floor(Math.log2(largest / Math.abs(areas[i]))) || 0)].push(i);
+  const sides = new Uint8Array(n * n);
   const kept = [];
-  for (let i = 0; i < number; i += step) kept.push(triples[3 * i], triples[3 * i + 1], triples[3 * i + 2]);
+  for (const i of classes.flat()) {
+    const corners = [flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]];
+    let isNeeded = false;
+    for (let k = 0; k < 3; k += 1) {
+      const [from, to] = [corners[k], corners[(k + 1) % 3]];
+      const isForward = from < to;
+      const cell = isForward ? from * n + to : to * n + from;
+      const side = areas[i] > 0 === isForward ? 1 : 2;
+      if (sides[cell] & side) continue;
+      sides[cell] |= side;
+      isNeeded = true;
+    }
+    if (isNeeded) kept.push(...corners);
+  }
   return kept;
+}
+
+function twiceArea([ax, ay], [bx, by], [cx, cy]) {
+  return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
 }
