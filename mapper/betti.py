@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass
 from importlib import resources
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,14 @@ class TrainedRules:
     rules: tuple[BettiRule, BettiRule]
     trained_on: str
     command: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Threshold:
+    """What an interval must exceed, both: in its length as a share of the diameter, and in death over birth; -1 asks for nothing."""
+
+    length_share: float
+    ratio: float
 
 
 def load_trained_rules(method: Method, metric: MetricKind) -> TrainedRules:
@@ -75,21 +84,34 @@ def judge_intervals(intervals: FloatArray, rule: BettiRule, *, diameter: float, 
     """
     births, deaths = intervals[:, 0], intervals[:, 1]
     is_infinite = np.isinf(deaths)
-    is_finite = ~is_infinite & (deaths > births)
-    length = np.where(is_finite, deaths - births, 0.0) / (diameter or 1.0)
+    is_finite, length = _measure(intervals, diameter=diameter)
     has_ratio = is_finite & (births > 0)
     ratio = np.divide(deaths, births, out=np.zeros(len(intervals)), where=has_ratio)
+    threshold = find_threshold(intervals, rule, diameter=diameter, n_encounters=n_encounters)
+    is_real = (length > threshold.length_share) & (ratio > threshold.ratio)
+    return np.asarray((is_real & is_finite) | is_infinite)
+
+
+def find_threshold(intervals: FloatArray, rule: BettiRule, *, diameter: float, n_encounters: int = REFERENCE_ENCOUNTERS) -> Threshold:
+    """Say what an interval of a dimension must exceed to be real; parameters as in `judge_intervals`."""
     match rule.kind:
         case BettiRuleKind.CONNECTED:
-            is_real = np.zeros(len(intervals), dtype=bool)
+            return Threshold(length_share=inf, ratio=-1.0)
         case BettiRuleKind.RATIO:
-            is_real = (ratio > rule.tau) & (length > rule.delta)
-        case BettiRuleKind.QUANTILE if is_finite.sum() < _MIN_FOR_QUANTILE:
-            is_real = ratio > _FEW_INTERVALS_RATIO
+            return Threshold(length_share=rule.delta, ratio=rule.tau)
         case BettiRuleKind.QUANTILE:
+            is_finite, length = _measure(intervals, diameter=diameter)
+            if is_finite.sum() < _MIN_FOR_QUANTILE:
+                return Threshold(length_share=-1.0, ratio=_FEW_INTERVALS_RATIO)
             scale = float(np.quantile(length[is_finite], rule.q, method="lower")) + rule.delta
-            is_real = length > rule.tau * share_of_tau(n_encounters, power=rule.power) * scale
-    return np.asarray((is_real & is_finite) | is_infinite)
+            return Threshold(length_share=rule.tau * share_of_tau(n_encounters, power=rule.power) * scale, ratio=-1.0)
+
+
+def _measure(intervals: FloatArray, *, diameter: float) -> tuple[BoolArray, FloatArray]:
+    """Say which intervals are finite and have a length, and how long they are as shares of the diameter, shapes (m,)."""
+    births, deaths = intervals[:, 0], intervals[:, 1]
+    is_finite: BoolArray = ~np.isinf(deaths) & (deaths > births)
+    return is_finite, np.where(is_finite, deaths - births, 0.0) / (diameter or 1.0)
 
 
 def share_of_tau(n_encounters: int, *, power: float) -> float:

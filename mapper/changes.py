@@ -13,6 +13,8 @@ class Topic(StrEnum):
     BIOBOTS = "biobots"
     COMMANDS = "commands"
     MISSION = "mission"
+    PINS = "pins"
+    JOBS = "jobs"
 
 
 class Changes:

@@ -9,12 +9,14 @@ from typing import Final
 
 from mapper.changes import Changes, Topic
 from mapper.clock_watch import ClockWatch, clock_shifts
-from mapper.errors import JobError, MapError, NoMapYetError, PlaceError, RouteError, StoreError, TooManyError, WorkerDiedError
+from mapper.errors import JobError, MapError, NoMapYetError, StoreError, WorkerDiedError
 from mapper.fleet import Fleet
 from mapper.log import EventLog
-from mapper.map_job import MapDocuments, OutOfStep, TooFew, draw_map, find_map_routes, make_map, write_geojson
+from mapper.map_artist import MapArtist
+from mapper.map_job import MapDocuments, OutOfStep, TooFew, make_map
 from mapper.map_snapshot import FinishedMap, MapSnapshot, fingerprint, pack, unpack
-from mapper.render import ImageFormat
+from mapper.pin_board import PinBoard
+from mapper.served_bytes import ServedBytes
 from mapper.store import KeptMap, Store
 from mapper.store_thread import StoreThread
 from mapper.types import Recipe
@@ -26,8 +28,6 @@ _MAX_BACKOFF_S: Final = 30.0
 # A map is told to be slow after this, if it also takes so many times as long as the last.
 _SLOW_S: Final = 30.0
 _SLOW_TIMES: Final = 10.0
-MAX_SEARCHES: Final = 8
-"""So many may wait for routes at a time."""
 # A map is some hundred kilobytes: flash memory wears.
 KEEP_PERIOD_S: Final = 30.0
 """A finished map is kept in the store no sooner than this after the one before [s]."""
@@ -79,6 +79,7 @@ class CurrentMap:
         recipe: Recipe,
         fleet: Fleet,
         changes: Changes,
+        pins: PinBoard,
         min_interval_s: float,
         window_ns: int | None = None,
         clock: Callable[[], int] = time.time_ns,
@@ -86,6 +87,7 @@ class CurrentMap:
         self.last_fault: str | None = None
         self.keeping_fault: str | None = None
         self.dating_fault: str | None = None
+        self.framing_fault: str | None = None
         self._clock = clock
         self._clock_watch = ClockWatch()
         self._records = records
@@ -94,8 +96,11 @@ class CurrentMap:
         self._made_by = fingerprint(recipe, window_ns=window_ns)
         self._fleet = fleet
         self._changes = changes
+        self._pins = pins
+        self._framing = asyncio.Lock()
         self._min_interval_s = min_interval_s
         self._latest: MapSnapshot | None = None
+        self._coverage: ServedBytes | None = None
         self._standstill: _Standstill | None = None
         self.waiting_for: NoMapYetError = NoMapYetError(n_encounters=0, minimum=0, reason="the mapper has just started")
         self.worker = Worker(name="map worker")
@@ -106,11 +111,7 @@ class CurrentMap:
         # Maps made after the kept one was kept had numbers that may not come again.
         self._n_skipped = 0
         self._unkept = asyncio.Event()
-        self._artist = Worker(name="picture worker")
-        self._pictures: dict[ImageFormat, tuple[int, bytes]] = {}
-        self._geojson: tuple[int, bytes] = (0, b"")
-        self._picture_lock = asyncio.Lock()
-        self._n_searches = 0
+        self.artist = MapArtist(self.require)
 
     @property
     def latest(self) -> MapSnapshot | None:
@@ -145,7 +146,7 @@ class CurrentMap:
     @property
     def faults(self) -> tuple[str, ...]:
         """What is wrong with the making, keeping and dating of maps, and with the gateways' clocks."""
-        own = (self.last_fault, self.keeping_fault, self.dating_fault, self._slowness())
+        own = (self.last_fault, self.keeping_fault, self.dating_fault, self.framing_fault, self._slowness())
         return (*(fault for fault in own if fault is not None), *self._clock_watch.faults)
 
     def _slowness(self) -> str | None:
@@ -172,57 +173,34 @@ class CurrentMap:
             raise self.waiting_for
         return self._latest
 
-    async def routes(self, begin: str, end: str, *, classes: int) -> tuple[MapSnapshot, bytes]:
-        """Return the last finished map, and routes on it between two places as JSON.
+    def require_coverage(self) -> ServedBytes:
+        """Return how well the encounters cover the place, as JSON; also where they are too few for a map.
 
         Raises
         ------
-        PlaceError, RouteError
-            The map does not show a place, or no way between them.
-        TooManyError
-            Others wait for routes already.
-        NoMapYetError, WorkerDiedError, JobError
-            There is no map, or it could not be searched.
+        NoMapYetError
+            They have not been looked at yet.
         """
-        snapshot = self.require()
-        if self._n_searches >= MAX_SEARCHES:
-            raise TooManyError(what="searches for routes", limit=MAX_SEARCHES)
-        self._n_searches += 1
-        try:
-            found = await self._artist.run(find_map_routes, snapshot.drawing, begin, end, classes=classes)
-        finally:
-            self._n_searches -= 1
-        if isinstance(found, bytes):
-            return snapshot, found
-        if found.place is not None:
-            raise PlaceError(place=found.place, problem=found.problem, next_step=found.next_step)
-        raise RouteError(begin=begin, end=end, problem=found.problem, next_step=found.next_step)
+        if self._coverage is None:
+            raise self.waiting_for
+        return self._coverage
 
-    async def geojson(self) -> tuple[MapSnapshot, bytes]:
-        """Return the last finished map and its GeoJSON, written at the first request; raises what `picture` raises."""
-        async with self._picture_lock:
-            snapshot = self.require()
-            version, document = self._geojson
-            if version != snapshot.version:
-                document = await self._artist.run(write_geojson, snapshot.drawing)
-                self._geojson = (snapshot.version, document)
-            return snapshot, document
+    async def frame_again(self) -> None:
+        """Put the last finished map into the frame of the pins that there are now; where it cannot be, the fault is told.
 
-    async def picture(self, image_format: ImageFormat) -> tuple[MapSnapshot, bytes]:
-        """Return the last finished map and its picture, drawn at the first request.
-
-        Raises
-        ------
-        NoMapYetError, WorkerDiedError, JobError
-            There is no map, or it could not be drawn.
+        The map keeps its version and has another ETag.
         """
-        async with self._picture_lock:
-            snapshot = self.require()
-            version, picture = self._pictures.get(image_format, (0, b""))
-            if version != snapshot.version:
-                picture = await self._artist.run(draw_map, snapshot.drawing, image_format)
-                self._pictures[image_format] = (snapshot.version, picture)
-            return snapshot, picture
+        async with self._framing:
+            while (latest := self._latest) is not None and latest.pins != self._pins.pins:
+                try:
+                    framing = await self.artist.frame(latest, self._pins.pins)
+                except (WorkerDiedError, JobError) as error:
+                    self.framing_fault = str(error)
+                    return
+                if latest is self._latest:
+                    self._latest = latest.framed(framing)
+                    self._changes.bump(Topic.MAP)
+            self.framing_fault = None
 
     async def restore(self) -> None:
         """Serve the map that was kept before the last end, if this recipe and program made it and it can be read."""
@@ -240,6 +218,7 @@ class CurrentMap:
             _log.warning("map.kept_unreadable", change=kept.change)
             return
         self._latest = MapSnapshot.of(finished, change=kept.change)
+        self._coverage = self._latest.coverage
         self._n_skipped = ceil(KEEP_PERIOD_S / self._min_interval_s)
         self._note_dates(finished.documents.n_ahead)
         self._changes.bump(Topic.MAP)
@@ -250,10 +229,11 @@ class CurrentMap:
         try:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._keep_maps(), name="keep maps")
+                group.create_task(self.frame_again(), name="frame the kept map")
                 await self._make_maps()
         finally:
             await self.worker.aclose()
-            await self._artist.aclose()
+            await self.artist.aclose()
             await self._keep()
 
     async def _make_maps(self) -> None:
@@ -289,6 +269,7 @@ class CurrentMap:
             self._computing_since = None
         if isinstance(outcome, TooFew):
             self.waiting_for = NoMapYetError(n_encounters=outcome.n_encounters, minimum=outcome.minimum, where=outcome.where)
+            self._coverage = ServedBytes.of(outcome.coverage_json)
             self._note_dates(outcome.n_ahead)
             self._stand_still(change=change, begun_wall_ns=begun_wall_ns)
         elif isinstance(outcome, MapDocuments):
@@ -297,6 +278,7 @@ class CurrentMap:
         if self.last_fault is not None:
             _log.warning("map.fault_over", after=self.last_fault)
             self.last_fault = None
+        await self.frame_again()  # pins may have come while it was computed
         self._changes.bump(Topic.MAP)
 
     async def _compute(self, *, after: int) -> tuple[MapDocuments | TooFew | OutOfStep, int]:
@@ -305,7 +287,9 @@ class CurrentMap:
         self._look_at_clocks()
         # Whatever ends this job early ends the worker's copy with it, or leaves it in doubt: the next one gets everything.
         self._n_sent = 0
-        outcome = await self.worker.run(make_map, delta, self._recipe, window_ns=self._window_ns, now_ns=self._clock())
+        outcome = await self.worker.run(
+            make_map, delta, self._recipe, window_ns=self._window_ns, now_ns=self._clock(), pins=self._pins.pins
+        )
         self._n_sent = delta.change
         return outcome, delta.change
 
@@ -322,6 +306,7 @@ class CurrentMap:
             documents=documents,
         )
         self._latest = MapSnapshot.of(finished, change=change)
+        self._coverage = self._latest.coverage
         self._n_skipped = 0
         if self._standstill is not None:
             _log.info("map.goes_on", after=self._standstill.reason)

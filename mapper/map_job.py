@@ -1,4 +1,4 @@
-"""The jobs of the computing process: from what has changed in the store to the documents that are served, and to pictures.
+"""The jobs of the computing process: from what has changed in the store to the documents that are served.
 
 The process keeps its own copy of the encounters, so that each map costs the serving process no more than what is new. The pipeline is
 imported where it runs: the serving process needs these functions only by name.
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import numpy as np
 
+from mapper.named_pins import Framing, NamedPin
 from mapper.record_columns import to_unsigned
 from mapper.replica import Replica, StoreDelta
 from mapper.window import clip_table, rows_dated_ahead, select_rows, window_begin
@@ -19,7 +20,6 @@ from mapper.window import clip_table, rows_dated_ahead, select_rows, window_begi
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from mapper.render import ImageFormat
     from mapper.report import JsonObject, JsonValue
     from mapper.types import MapResult, Recipe
 
@@ -34,35 +34,30 @@ class OutOfStep(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NoRoutes:
-    """Why there are none: what is wrong with ``place``, or None where both places are there and nothing leads from one to the other."""
-
-    place: str | None
-    problem: str
-    next_step: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TooFew:
-    """There are fewer encounters than a map needs; ``where``, in words; and ``n_ahead`` as in `MapDocuments`."""
+    """There are fewer encounters than a map needs; ``where``, in words; ``n_ahead`` and ``coverage_json`` as in `MapDocuments`."""
 
     n_encounters: int
     minimum: int
     where: str
     n_ahead: int
+    coverage_json: bytes
 
 
 class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
-    """A finished map: two JSON objects, the result for pictures as `encode_map` writes it, and what stands behind it.
+    """A finished map: JSON objects, the result for pictures as `encode_map` writes it, and what stands behind it.
 
     The map is of ``n_encounters``, the last of which ended at ``last_encounter_ns`` [wall clock]; ``n_before`` were over at ``since_ns``:
     when the landmarks were set or the window begins, whichever is later; None where there is neither. ``n_ahead`` of all that are known
-    were dated ahead of this machine's clock.
+    were dated ahead of this machine's clock. ``framing``: where the pins known then are on it.
     """
 
     map_json: bytes
     diagram_json: bytes
+    barcode_json: bytes
+    coverage_json: bytes
     drawing: bytes
+    framing: Framing
     n_encounters: int
     n_before: int
     since_ns: int | None
@@ -70,7 +65,9 @@ class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
     n_ahead: int
 
 
-def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns: int) -> MapDocuments | TooFew | OutOfStep:
+def make_map(
+    delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns: int, pins: tuple[NamedPin, ...] = ()
+) -> MapDocuments | TooFew | OutOfStep:
     """Bring this process's copy up to date, compute the map of what counts, and put it into JSON.
 
     Parameters
@@ -79,10 +76,14 @@ def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns
         The time of this machine's wall clock. A window ends at the newest encounter that is not dated ahead of it, and those that are
         dated ahead are left out: one wrong clock would take the window away from all others. Where all are, it is this machine's
         clock that is wrong, and nothing is left out for that.
+    pins
+        Places that the operator named.
     """
-    from mapper.map_codec import encode_map  # noqa: PLC0415  # see the module's docstring
+    from mapper.coverage import describe_coverage  # noqa: PLC0415  # see the module's docstring
+    from mapper.interval_lists import describe_barcode, describe_diagram  # noqa: PLC0415  # same
+    from mapper.map_codec import encode_map  # noqa: PLC0415  # same
+    from mapper.map_framing import frame_map  # noqa: PLC0415  # same
     from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415  # same
-    from mapper.report import to_json_object  # noqa: PLC0415  # same
 
     if not _replica.take(delta):
         return OutOfStep()
@@ -94,21 +95,25 @@ def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns
     table = clip_table(known, since_ns=since_ns)
     if len(table) < MIN_ENCOUNTERS:
         where = "yet" if since_ns is None else "since time 0 of the mission" if since_ns == _replica.since_ns else "in the window"
-        return TooFew(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=where, n_ahead=n_ahead)
+        coverage = msgspec.json.encode(describe_coverage(table, spells, None, minimum=MIN_ENCOUNTERS))
+        return TooFew(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=where, n_ahead=n_ahead, coverage_json=coverage)
     result = compute_map(table, spells, recipe)
-    document = to_json_object(result)
-    for point, id1, id2 in zip(_objects(document["points"]), result.points.id1.tolist(), result.points.id2.tolist(), strict=True):
-        point["id1"], point["id2"] = to_unsigned(id1), to_unsigned(id2)
     n_before, last_encounter_ns = len(known) - len(table), int(table.t_end_ns.max())
-    document["window_s"] = None if window_ns is None else window_ns / _NS_PER_S
-    document["since_s"] = None if since_ns is None else since_ns / _NS_PER_S
-    document["n_before"] = n_before
-    document["n_ahead"] = n_ahead
-    document["last_encounter_s"] = last_encounter_ns / _NS_PER_S
+    facts: JsonObject = {
+        "window_s": None if window_ns is None else window_ns / _NS_PER_S,
+        "since_s": None if since_ns is None else since_ns / _NS_PER_S,
+        "until_s": None,
+        "n_before": n_before,
+        "n_ahead": n_ahead,
+        "last_encounter_s": last_encounter_ns / _NS_PER_S,
+    }
     return MapDocuments(
-        map_json=msgspec.json.encode(document),
-        diagram_json=msgspec.json.encode(_describe_diagram(result)),
+        map_json=write_map(result, facts),
+        diagram_json=msgspec.json.encode(describe_diagram(result)),
+        barcode_json=msgspec.json.encode(describe_barcode(result)),
+        coverage_json=msgspec.json.encode(describe_coverage(table, spells, result, minimum=MIN_ENCOUNTERS)),
         drawing=encode_map(result),
+        framing=frame_map(result, pins),
         n_encounters=result.n_encounters,
         n_before=n_before,
         since_ns=since_ns,
@@ -117,57 +122,15 @@ def make_map(delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns
     )
 
 
-def draw_map(drawing: bytes, image_format: ImageFormat) -> bytes:
-    """Draw a map that `make_map` made."""
-    from mapper.map_codec import decode_map  # noqa: PLC0415  # see the module's docstring
-    from mapper.render import render_map  # noqa: PLC0415  # same
+def write_map(result: MapResult, facts: JsonObject) -> bytes:
+    """Write the map of a store as JSON, its ids as they are on the air; ``facts`` are members besides."""
+    from mapper.report import to_json_object  # noqa: PLC0415  # see the module's docstring
 
-    return render_map(decode_map(drawing), image_format=image_format)
-
-
-def write_geojson(drawing: bytes) -> bytes:
-    """Write a map that `make_map` made as GeoJSON."""
-    from mapper.geojson import to_geojson  # noqa: PLC0415  # see the module's docstring
-    from mapper.map_codec import decode_map  # noqa: PLC0415  # same
-
-    return msgspec.json.encode(to_geojson(decode_map(drawing)))
-
-
-def find_map_routes(drawing: bytes, begin: str, end: str, *, classes: int) -> bytes | NoRoutes:
-    """Find routes on a map that `make_map` made, as JSON."""
-    from mapper.errors import PlaceError, RouteError  # noqa: PLC0415  # see the module's docstring
-    from mapper.map_codec import decode_map  # noqa: PLC0415  # see the module's docstring
-    from mapper.map_sketch import sketch_map  # noqa: PLC0415  # same
-    from mapper.route_report import answer_routes, routes_to_json  # noqa: PLC0415  # same
-
-    try:
-        return msgspec.json.encode(routes_to_json(answer_routes(sketch_map(decode_map(drawing)), begin, end, classes=classes)))
-    except PlaceError as error:
-        return NoRoutes(place=error.place, problem=error.problem, next_step=error.next_step)
-    except RouteError as error:
-        return NoRoutes(place=None, problem=error.problem, next_step=error.next_step)
+    document = to_json_object(result)
+    for point, id1, id2 in zip(_objects(document["points"]), result.points.id1.tolist(), result.points.id2.tolist(), strict=True):
+        point["id1"], point["id2"] = to_unsigned(id1), to_unsigned(id2)
+    return msgspec.json.encode(document | facts)
 
 
 def _objects(value: JsonValue) -> Iterable[JsonObject]:
     return (item for item in value if isinstance(item, dict)) if isinstance(value, list) else ()
-
-
-def _describe_diagram(result: MapResult) -> JsonObject:
-    """Say of every interval whether it is real: in dimension 1 those with a hole, in dimension 0 the longest of each component."""
-    holes = {(hole.component, hole.birth, hole.death) for hole in result.holes}
-    dimensions: dict[str, JsonValue] = {}
-    for dimension in (0, 1):
-        intervals: list[JsonValue] = []
-        for component, part in enumerate(result.components):
-            for rank, (birth, death) in enumerate(part.intervals[dimension].tolist()):
-                is_real = rank < part.betti_numbers[0] if dimension == 0 else (component, birth, death) in holes
-                end = None if death == float("inf") else death
-                intervals.append({"birth": birth, "death": end, "component": component, "is_real": is_real})
-        dimensions[str(dimension)] = intervals
-    return {
-        "betti_numbers": list(result.betti_numbers),
-        "intervals": dimensions,
-        "diameter": result.diameter,
-        "length_unit": result.length_unit,
-        "n_encounters": result.n_encounters,
-    }

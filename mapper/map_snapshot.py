@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Self
 
 import msgspec
+import msgspec.structs
 
 from mapper.map_job import MapDocuments
+from mapper.named_pins import Framing, NamedPin
+from mapper.served_bytes import ServedBytes
 from mapper.types import Recipe
 
 _SOURCES = ("*.py", "kernels/*.py", "kernels/*.c", "kernels/*.h", "data/*.json")
@@ -36,22 +39,49 @@ class MapSnapshot:
     finished: FinishedMap
     change: int
     etag: str
-    map_json: bytes
-    diagram_json: bytes
+    map: ServedBytes
+    diagram: ServedBytes
+    barcode: ServedBytes
+    coverage: ServedBytes
 
     @classmethod
     def of(cls, finished: FinishedMap, *, change: int) -> Self:
-        """Put version and times into the documents."""
-        head = msgspec.json.encode({name: getattr(finished, name) for name in finished.__struct_fields__ if name != "documents"})
+        """Put version, times and frame into the documents."""
         documents = finished.documents
-        map_json, diagram_json = (_join_objects(head, body) for body in (documents.map_json, documents.diagram_json))
+        names = ("version", "begun_wall_ns", "computed_wall_ns", "computing_s")
+        facts = {name: getattr(finished, name) for name in names}
+        head = msgspec.json.encode(facts)
+        whole = _join_objects(msgspec.json.encode(facts | {"frame": msgspec.Raw(documents.framing.frame_json)}), documents.map_json)
+        etag = f"{finished.version}-{blake2b(whole, digest_size=8).hexdigest()}"
         return cls(
             finished=finished,
             change=change,
-            etag=f'"{finished.version}-{blake2b(map_json, digest_size=8).hexdigest()}"',
-            map_json=map_json,
-            diagram_json=diagram_json,
+            etag=f'"{etag}"',
+            map=ServedBytes(whole, tag=etag),
+            diagram=ServedBytes(_join_objects(head, documents.diagram_json), tag=etag),
+            barcode=ServedBytes(_join_objects(head, documents.barcode_json), tag=etag),
+            coverage=ServedBytes(_join_objects(head, documents.coverage_json), tag=etag),
         )
+
+    def framed(self, framing: Framing) -> "MapSnapshot":
+        """Return the same map with other pins."""
+        documents = msgspec.structs.replace(self.finished.documents, framing=framing)
+        return MapSnapshot.of(msgspec.structs.replace(self.finished, documents=documents), change=self.change)
+
+    @property
+    def map_json(self) -> bytes:
+        """The map as JSON."""
+        return self.map.plain
+
+    @property
+    def diagram_json(self) -> bytes:
+        """The persistence diagram as JSON."""
+        return self.diagram.plain
+
+    @property
+    def pins(self) -> tuple[NamedPin, ...]:
+        """The pins that its frame is by."""
+        return self.finished.documents.framing.pins
 
     @property
     def version(self) -> int:

@@ -1,8 +1,8 @@
 """Places that people name: where a landmark stood, where a biobot was at a time, a point of the map, or map coordinates.
 
-In text: ``landmark:7``, ``landmark:7@12.5`` (the place where it stood at 12.5 s), ``biobot:3@61.5``, ``point:17``, ``xy:1.5,-2`` and
-``xy:1.5,-2,1`` (in component 1). Ids are as the log has them, numbers or names. Times are those of the map: of the file, or seconds since
-1970 of a live map.
+In text: ``landmark:7``, ``landmark:7@12.5`` (the place where it stood at 12.5 s), ``biobot:3@61.5``, ``biobot:3`` (at its newest
+encounter on the map), ``point:17``, ``xy:1.5,-2`` and ``xy:1.5,-2,1`` (in component 1). Ids are as the log has them, numbers or names.
+Times are those of the map: of the file, or seconds since 1970 of a live map.
 """
 
 import re
@@ -17,11 +17,11 @@ from mapper.map_sketch import MapSketch
 from mapper.types import EncounterTable, FloatArray, IntArray
 
 _NS_PER_S = 1e9
-_FORMS = "landmark:ID, landmark:ID@T, biobot:ID@T, point:INDEX, xy:X,Y or xy:X,Y,COMPONENT, with T in seconds of the map's clock"
+_FORMS = "landmark:ID, landmark:ID@T, biobot:ID, biobot:ID@T, point:INDEX, xy:X,Y or xy:X,Y,COMPONENT, with T in seconds of the map's clock"
 _SHOWN = 60
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?"
 _TEXT = re.compile(
-    rf"landmark:(?P<landmark>.{{1,200}}?)(?:@(?P<stood>{_NUMBER}))?|biobot:(?P<biobot>.{{1,200}})@(?P<t>{_NUMBER})|"
+    rf"landmark:(?P<landmark>.{{1,200}}?)(?:@(?P<stood>{_NUMBER}))?|biobot:(?P<biobot>.{{1,200}}?)(?:@(?P<t>{_NUMBER}))?|"
     rf"point:(?P<point>[0-9]{{1,9}})|xy:(?P<x>{_NUMBER}),(?P<y>{_NUMBER})(?:,(?P<component>[0-9]{{1,9}}))?",
     re.ASCII,
 )
@@ -40,13 +40,13 @@ class LandmarkPlace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BiobotPlace:
-    """Where a biobot was at a time."""
+    """Where a biobot was at a time; None: at its newest encounter."""
 
     node: str
-    t_s: float
+    t_s: float | None = None
 
     def __str__(self) -> str:
-        return f"biobot:{self.node}@{self.t_s:.15g}"
+        return f"biobot:{self.node}" + ("" if self.t_s is None else f"@{self.t_s:.15g}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +107,7 @@ def parse_place(text: str) -> NamedPlace:
     if part["landmark"] is not None:
         return LandmarkPlace(node=part["landmark"], t_s=numbers.get("stood"))
     if part["biobot"] is not None:
-        return BiobotPlace(node=part["biobot"], t_s=numbers["t"])
+        return BiobotPlace(node=part["biobot"], t_s=numbers.get("t"))
     if part["point"] is not None:
         return PointPlace(index=int(part["point"]))
     return MapPlace(x=numbers["x"], y=numbers["y"], component=int(part["component"] or 0))
@@ -156,7 +156,7 @@ def rows_to_place(places: Iterable[NamedPlace], table: EncounterTable, *, number
             number = number_of(place.node)
             own = np.flatnonzero((table.id1 == number) | (table.id2 == number)) if number is not None else np.empty(0, dtype=np.int64)
             own = own[np.argsort(centres[own], kind="stable")]
-            after = int(np.searchsorted(centres[own], place.t_s * _NS_PER_S))
+            after = len(own) if place.t_s is None else int(np.searchsorted(centres[own], place.t_s * _NS_PER_S))
             rows |= set(own[max(0, after - 1) : after + 1].tolist())
     return np.array(sorted(rows), dtype=np.int64)
 
@@ -183,10 +183,11 @@ def _find_biobot(place: BiobotPlace, sketch: MapSketch) -> FoundPlace:
         raise _unknown(place, "is in no encounter that has a place on the map", "name one that is, or a landmark")
     own = own[np.argsort(sketch.met_t_s[own], kind="stable")]
     times = sketch.met_t_s[own]
-    after = int(np.searchsorted(times, place.t_s))
+    t_s = float(times[-1]) if place.t_s is None else place.t_s
+    after = int(np.searchsorted(times, t_s))
     before, after = max(0, after - 1), min(after, len(own) - 1)
     one, other = int(own[before]), int(own[after])
-    gaps = abs(place.t_s - float(times[before])), abs(float(times[after]) - place.t_s)
+    gaps = abs(t_s - float(times[before])), abs(float(times[after]) - t_s)
     if before == after or sketch.met_component[one] != sketch.met_component[other] or sum(gaps) == 0:
         nearest = one if gaps[0] <= gaps[1] else other
         xy = sketch.met_xy[nearest]

@@ -13,6 +13,8 @@ from mapper.config import RecipeConfig, make_recipe
 from mapper.frames import Similarity
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.axes import Axes
 
     from mapper.pins import Pinned
@@ -48,6 +50,33 @@ def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None
     -----
     Of more than 20,000 triangles only an even selection is drawn.
     """
+
+    def draw(map_axes: Axes, diagram_axes: Axes) -> None:
+        _draw_map(map_axes, _in_frame(result, pinned), part=part, pinned=pinned)
+        _draw_diagram(diagram_axes, result, title="persistence diagram" + ("" if pinned is None else "\nin lengths of the map itself"))
+
+    return save_figure(draw, size=(11, 5.5), image_format=image_format, widths=(1.2, 1.0), caption=_caption(result))
+
+
+def save_figure(
+    draw: Callable[..., None],
+    *,
+    size: tuple[float, float],
+    image_format: ImageFormat,
+    widths: tuple[float, ...] = (1.0,),
+    caption: str | None = None,
+) -> bytes:
+    """Have a figure drawn, and return its file.
+
+    Parameters
+    ----------
+    draw
+        Called with the axes, one for each of the relative ``widths``.
+    size
+        Width and height [inch].
+    caption
+        What stands below all of it.
+    """
     import matplotlib as mpl  # noqa: PLC0415  # a map without pictures must not wait for it
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # same
     from matplotlib.figure import Figure  # noqa: PLC0415  # same
@@ -57,12 +86,10 @@ def render_map(result: MapResult, *, image_format: ImageFormat, part: str | None
     with mpl.rc_context({"svg.hashsalt": "biobot", "svg.fonttype": "none"}), warnings.catch_warnings():
         # Names may be in any script: an SVG has them as they are, and a PNG boxes in place of what its font lacks.
         warnings.filterwarnings("ignore", message="Glyph .* missing", category=UserWarning)
-        figure = Figure(figsize=(11, 5.5), layout="constrained")
+        figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
-        map_axes, diagram_axes = figure.subplots(1, 2, width_ratios=(1.2, 1))
-        _draw_map(map_axes, _in_frame(result, pinned), part=part, pinned=pinned)
-        _draw_diagram(diagram_axes, result, title="persistence diagram" + ("" if pinned is None else "\nin lengths of the map itself"))
-        if caption := _caption(result):
+        draw(*figure.subplots(1, len(widths), width_ratios=widths, squeeze=False)[0])
+        if caption:
             figure.supxlabel(caption, fontsize=7, parse_math=False)
         figure.savefig(buffer, format=image_format, dpi=120, metadata={"Date": None} if image_format == "svg" else None)
     return buffer.getvalue()

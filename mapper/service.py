@@ -37,6 +37,7 @@ from mapper.intake import Intake
 from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
 from mapper.mission_orders import MissionDesk
+from mapper.pin_board import PinBoard
 from mapper.rips_engines import name_engine
 from mapper.service_checks import check_service
 from mapper.service_manager import ServiceManager
@@ -145,11 +146,14 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         watermarks = Watermarks(bus=bus, records=records, name=name)
         commander = Commander(bus=bus, name=name)
         desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
+        pins = PinBoard(records=records, changes=changes)
+        await pins.restore()
         current_map = CurrentMap(
             records=records,
             recipe=make_recipe(config.recipe),
             fleet=fleet,
             changes=changes,
+            pins=pins,
             min_interval_s=serve.min_interval_s,
             window_ns=None if serve.window_s is None else round(serve.window_s * 1e9),
         )
@@ -174,6 +178,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             emergency_stop=EmergencyStop(desk),
             mission=MissionDesk(bus=bus),
             accounts=accounts,
+            pins=pins,
             changes=changes,
             is_connected=lambda: bus.is_connected,
             counters=counters,
@@ -281,7 +286,8 @@ def _listen(serve: ServiceConfig) -> socket.socket:
             reason="other machines could reach it, and there are no users and passwords yet",
             next_step="leave --host at 127.0.0.1, or accept with --allow-remote that whoever reaches the port may command",
         )
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    # Named as TCP, so that connections get TCP_NODELAY: otherwise each answer of two packets waits 40 ms for an acknowledgement.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(target)

@@ -6,12 +6,12 @@ power cut the newest commits may be gone (``synchronous=NORMAL``); they are then
 """
 
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from mapper.site_view import SiteView
 from mapper.store_file import open_store_file, random_name, store_name, translate
 
 _MAX_INTEGER = 2**63 - 1
+_T = TypeVar("_T")
 
 
 class Kind(IntEnum):
@@ -145,7 +146,7 @@ class Store:
         arrived: list[tuple[int, int, JournalRecord]] = []
         n_unfit = 0
         touched: dict[tuple[str, str], _Source] = {}
-        with self._transaction():
+        with self.transaction():
             for batch in batches:
                 n_unfit += self._arrive(batch, into=arrived, touched=touched)
             fresh = self._rows.write(arrived, change=self._progress.change)
@@ -211,7 +212,7 @@ class Store:
         StoreError
             The file cannot be written; they are missing as before.
         """
-        with self._transaction():
+        with self.transaction():
             source = self._copy_source(gateway, journal)
             source.offsets.add(first, last)
             self._save_source(source)
@@ -262,7 +263,7 @@ class Store:
         StoreError
             The file cannot be written; the one before is still there.
         """
-        with self._transaction():
+        with self.transaction():
             values = (kept.made_by, kept.change, kept.document)
             self._db.execute("INSERT OR REPLACE INTO finished_map (id, made_by, change, document) VALUES (1, ?, ?, ?)", values)
 
@@ -274,11 +275,35 @@ class Store:
         StoreError
             The file cannot be read.
         """
+        query = "SELECT change, document FROM finished_map WHERE made_by = ?"
+        row = self.read(lambda database: database.execute(query, (made_by,)).fetchone())
+        return None if row is None else KeptMap(made_by=made_by, change=row[0], document=row[1])
+
+    def read(self, query: Callable[[sqlite3.Connection], _T]) -> _T:
+        """Ask the file for what other modules keep in it.
+
+        Raises
+        ------
+        StoreError
+            The file cannot be read.
+        """
         try:
-            row = self._db.execute("SELECT change, document FROM finished_map WHERE made_by = ?", (made_by,)).fetchone()
+            return query(self._db)
         except sqlite3.Error as error:
             raise translate(error, path=self._path) from error
-        return None if row is None else KeptMap(made_by=made_by, change=row[0], document=row[1])
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """Change the file, all of it or nothing; raises ``StoreError`` where it cannot be written."""
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            yield self._db
+            self._db.execute("COMMIT")
+        except sqlite3.Error as error:
+            raise translate(error, path=self._path) from error
+        finally:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
 
     def _arrive(self, batch: RecordBatch, *, into: list[tuple[int, int, JournalRecord]], touched: dict[tuple[str, str], _Source]) -> int:
         """Note the offsets of a batch, and collect its records that are fit; return how many are not."""
@@ -295,18 +320,6 @@ class Store:
         fit = [(source.id, _KINDS[type(record)], record) for record in records if is_fit(record)]
         into += fit
         return len(batch.records) - len(fit)
-
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            yield
-            self._db.execute("COMMIT")
-        except sqlite3.Error as error:
-            raise translate(error, path=self._path) from error
-        finally:
-            if self._db.in_transaction:
-                self._db.execute("ROLLBACK")
 
     def _load(self) -> None:
         self._site = SiteView(self._read_encounters)

@@ -12,7 +12,7 @@ from mapper.errors import StoreError
 
 APPLICATION_ID: Final = 0x42494F42
 """In the header of every file of ours: "BIOB"."""
-SCHEMA_VERSION: Final = 3
+SCHEMA_VERSION: Final = 4
 
 # The steps by which a file comes to each version from the one before; an empty file takes all of them.
 _STEPS: Final = {
@@ -74,6 +74,10 @@ ORDER BY record.id;
 DROP TABLE record;
 ALTER TABLE record_of_source RENAME TO record;
 CREATE UNIQUE INDEX record_by_change ON record (kind, change);
+""",
+    # Places that the operator named.
+    4: """
+CREATE TABLE pin (name TEXT PRIMARY KEY, place TEXT NOT NULL, x REAL, y REAL);
 """,
 }
 

@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from importlib import resources
 from importlib.metadata import version
+from typing import Final
 
 from fastapi import FastAPI
 from fastapi.responses import FileResponse
@@ -11,6 +12,9 @@ from starlette.staticfiles import StaticFiles
 from mapper.api.errors import add_error_handlers
 from mapper.api.event_stream import EventStream
 from mapper.api.guards import Guard
+from mapper.api.map_routes import quick_answers
+from mapper.api.packing import Packing
+from mapper.api.quick_answers import QuickAnswers
 from mapper.api.routes import make_router
 from mapper.api.schemas import Problem
 from mapper.api.services import Services
@@ -21,16 +25,40 @@ Instants are nanoseconds on the wall clock; lengths have the map's `parameters.l
 `application/problem+json`. Maps have an `ETag`. There are no users: the service listens on loopback unless told otherwise.
 """
 
+_TAGS: Final = [
+    {"name": "map", "description": "The newest finished map and its numbers"},
+    {"name": "pictures", "description": "The same as SVG, PNG and GeoJSON"},
+    {"name": "places", "description": "Routes, distances, and the operator's pins"},
+    {"name": "jobs", "description": "Maps of other times and methods, computed beside the live one"},
+    {"name": "records", "description": "Encounters as the gateways recorded them"},
+    {"name": "biobots", "description": "Biobots and gateways"},
+    {"name": "commands", "description": "Commands and stops"},
+    {"name": "mission", "description": "The mission and orders to it"},
+    {"name": "watch", "description": "Changes, health, readiness"},
+]
+
 
 def create_app(services: Services, *, stream: EventStream, allowed_hosts: Collection[str] | None) -> Guard:
     """Make the application; ``allowed_hosts`` as in `Guard`."""
-    return Guard(create_unguarded_app(services, stream=stream), allowed_hosts=allowed_hosts)
+    app = Packing(create_unguarded_app(services, stream=stream))
+    return Guard(QuickAnswers(app, quick_answers(services)), allowed_hosts=allowed_hosts)
 
 
 def create_unguarded_app(services: Services, *, stream: EventStream) -> FastAPI:
     """Make the application without its outermost layer, for its OpenAPI document."""
     # The usual documentation pages load scripts from elsewhere; operators have no internet.
-    app = FastAPI(title="biobot mapper", version=version("biobot-gateway"), description=_ABOUT, docs_url=None, redoc_url=None)
+    app = FastAPI(
+        title="biobot mapper",
+        version=version("biobot-gateway"),
+        description=_ABOUT,
+        docs_url=None,
+        redoc_url=None,
+        openapi_tags=_TAGS,
+        servers=[{"url": "/", "description": "This mapper"}],
+        license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
+        # A generated client calls its functions by these names: they stay.
+        generate_unique_id_function=lambda route: route.name,
+    )
     add_error_handlers(app)
     app.include_router(make_router(services, stream))
     web = resources.files("mapper") / "web"

@@ -23,6 +23,8 @@ _FRESHNESS_HEADERS: Final = {
     "Map-Waiting": {"description": "Records that have come since the map was begun", "schema": {"type": "integer"}},
 }
 
+_ETAG: Final = {"ETag": {"description": "Names this version: send it as If-None-Match", "schema": {"type": "string"}}}
+
 BODY_PROBLEMS: Final = (
     HTTPStatus.BAD_REQUEST,
     HTTPStatus.FORBIDDEN,
@@ -33,17 +35,23 @@ BODY_PROBLEMS: Final = (
 
 
 def describe_answers(
-    content: type | str,
+    content: type | str | None,
     problems: Sequence[HTTPStatus] = (),
     *,
     is_versioned: bool = False,
+    has_freshness: bool = True,
+    made: str | None = None,
     under_way: str | None = None,
     examples: Mapping[HTTPStatus, object] | None = None,
 ) -> dict[int | str, dict[str, Any]]:
-    """Describe an endpoint's answers: a model or a media type, and the errors it may tell.
+    """Describe an endpoint's answers: a model or a media type, or that there is nothing to be said (204), and the errors it may tell.
 
     Parameters
     ----------
+    is_versioned, has_freshness
+        It has an ETag; and headers that say how far the map is behind.
+    made
+        What 201 means; None: it is not answered.
     under_way
         What 202 means; None: it is not answered.
     examples
@@ -54,15 +62,19 @@ def describe_answers(
         kind = {"type": "string"} if content.startswith("text/") else {"type": "string", "format": "binary"}
         if content.endswith("json"):
             kind = {"type": "object"}
+        elif content == "image/svg+xml":
+            kind = {"type": "string"}
         fine["content"] = {content: {"schema": kind}}
-    else:
+    elif content is not None:
         fine["model"] = content
-    answers: dict[int | str, dict[str, Any]] = {200: fine}
+    answers: dict[int | str, dict[str, Any]] = {204: {"description": "Done"}} if content is None else {200: fine}
     if under_way is not None:
         answers[202] = {"model": content, "description": under_way}
+    if made is not None:
+        answers[201] = {"model": content, "description": made}
     if is_versioned:
-        fine["headers"] = _FRESHNESS_HEADERS
-        answers[304] = {"description": "The client has this version (If-None-Match)"}
+        fine["headers"] = _ETAG | (_FRESHNESS_HEADERS if has_freshness else {})
+        answers[304] = {"description": "The client has this version (If-None-Match)", "headers": _ETAG}
     for status in problems:
         answers[int(status)] = _describe_problem(_SUMMARIES[status], (examples or {}).get(status))
     answers[421] = _describe_problem("The service is called by a name that is not its own", None)

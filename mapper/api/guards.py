@@ -9,7 +9,7 @@ from http import HTTPStatus
 from typing import Final
 from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from mapper.api.errors import problem
@@ -25,6 +25,11 @@ SECURITY_HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 
+_DEFAULT_FIELDS: Final = [
+    (name.lower().encode(), value.encode())
+    # What is compressed for one client must not be given to another.
+    for name, value in {**SECURITY_HEADERS, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}.items()
+]
 _SAFE_METHODS: Final = {"GET", "HEAD", "OPTIONS"}
 _NO_HEAD: Final = {"/api/v1/events"}  # an endless answer has no length to tell
 
@@ -51,10 +56,9 @@ class Guard:
 
         async def guarded_send(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in SECURITY_HEADERS.items():
-                    headers.setdefault(name, value)
-                headers.setdefault("Cache-Control", "no-cache")
+                headers = list(message["headers"])
+                given = {name for name, _ in headers}
+                message = {**message, "headers": headers + [field for field in _DEFAULT_FIELDS if field[0] not in given]}
             elif is_head and message["type"] == "http.response.body":
                 message = {**message, "body": b""}
             await send(message)

@@ -221,6 +221,9 @@ class MapView(AnswerModel):
     begun_wall_ns: int = Field(description="It is of all records that had come by then")
     computed_wall_ns: int
     computing_s: float
+    frame: dict[str, object] | None = Field(
+        description="How components are brought to the operator's frame [m]: operator = matrix * map + shift; null: pins fix none"
+    )
     betti_numbers: list[int]
     intervals: dict[str, list[Interval]]
     points: list[PointItem]
@@ -240,6 +243,7 @@ class MapView(AnswerModel):
     since_s: float | None = Field(
         description="Encounters count from then [s since 1970]: the landmarks were set, or the window begins; null: neither"
     )
+    until_s: float | None = Field(description="Encounters count until then [s since 1970]; null: all since")
     n_before: int = Field(description="Encounters that were over by then, and are left out")
     n_ahead: int = Field(description="Known encounters dated over a minute ahead of the mapper's clock; left out where there is a window")
     last_encounter_s: float
@@ -265,26 +269,6 @@ class MapStatusView(AnswerModel):
     since_wall_ns: int | None = Field(description="Landmarks were set, or the window begins; null: neither")
     n_ahead: int | None = Field(description="Known encounters dated over a minute ahead of the mapper's clock")
     last_encounter_wall_ns: int | None = Field(description="End of the newest encounter of the map")
-
-
-class DiagramInterval(AnswerModel):
-    """One interval; ``is_real``: it counts in the Betti number."""
-
-    birth: float
-    death: float | None
-    component: int
-    is_real: bool
-
-
-class DiagramView(AnswerModel):
-    """The persistence diagram by dimension."""
-
-    version: int
-    betti_numbers: list[int]
-    intervals: dict[str, list[DiagramInterval]]
-    diameter: float
-    length_unit: str
-    n_encounters: int
 
 
 class RoutePlace(AnswerModel):

@@ -9,6 +9,7 @@ from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
 from mapper.fleet import Fleet
 from mapper.mission_orders import MissionDesk
+from mapper.pin_board import PinBoard
 from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store_thread import StoreThread
 from mapper.types import KernelsKind
@@ -33,6 +34,7 @@ class Services:
     emergency_stop: EmergencyStop
     mission: MissionDesk
     accounts: StimulationAccounts
+    pins: PinBoard
     changes: Changes
     is_connected: Callable[[], bool]
     counters: Callable[[], Mapping[str, int]]

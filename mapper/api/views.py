@@ -2,10 +2,10 @@
 
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import msgspec
-from fastapi import Request, Response
+from fastapi import Response
 
 from firmware_protocol.contract.records import EncounterRecord, GatewayStatus
 from mapper.current_map import MapStatus
@@ -23,14 +23,6 @@ def json_response(value: object, *, status: int = 200, headers: dict[str, str] |
     return Response(
         _encoder.encode(value), status_code=status, media_type=JSON_TYPE, headers={"Cache-Control": "no-store", **(headers or {})}
     )
-
-
-def versioned_response(request: Request, body: bytes, *, etag: str, media_type: str, headers: Mapping[str, str]) -> Response:
-    """Answer with bytes made once for a version, or with 304 where the client has them (RFC 9110, 13.1.2)."""
-    headers = {"ETag": etag, "Cache-Control": "no-cache", **headers}
-    if _matches(request.headers.get("if-none-match"), etag):
-        return Response(status_code=304, headers=headers)
-    return Response(body, media_type=media_type, headers=headers)
 
 
 def view_gateway(view: GatewayView) -> dict[str, object]:
@@ -152,10 +144,3 @@ def _view_clock(clock: SourceClock) -> dict[str, object]:
         "since_wall_ns": clock.since_ns,
         "is_corrected": clock.is_corrected,
     }
-
-
-def _matches(if_none_match: str | None, etag: str) -> bool:
-    if if_none_match is None:
-        return False
-    tags = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
-    return "*" in tags or etag in tags

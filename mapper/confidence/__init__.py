@@ -3,11 +3,22 @@
 from mapper.confidence.assess import LEAST_CLAIMED, LEAST_CLAIMED_OF_OTHERS, MapAgain, add_verdict, gather_evidence, judge_components
 from mapper.confidence.evidence import Evidence
 from mapper.confidence.model import Model, Models, load_models
-from mapper.confidence.sufficiency import describe_count, sure_text
+from mapper.confidence.sufficiency import (
+    SURE_ENOUGH,
+    WANTED_ENCOUNTERS,
+    WANTED_LANDMARKS,
+    WANTED_WALKERS,
+    describe_count,
+    sure_text,
+)
 
 __all__ = [
     "LEAST_CLAIMED",
     "LEAST_CLAIMED_OF_OTHERS",
+    "SURE_ENOUGH",
+    "WANTED_ENCOUNTERS",
+    "WANTED_LANDMARKS",
+    "WANTED_WALKERS",
     "Evidence",
     "MapAgain",
     "Model",

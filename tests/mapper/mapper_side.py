@@ -21,6 +21,7 @@ from mapper.fleet import Fleet
 from mapper.intake import Intake
 from mapper.kernels import choose_kernels
 from mapper.mission_orders import MissionDesk
+from mapper.pin_board import PinBoard
 from mapper.rips_engines import name_engine
 from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store import Store
@@ -48,6 +49,7 @@ class Side:
     commander: Commander
     accounts: StimulationAccounts
     current_map: CurrentMap
+    pins: PinBoard
 
     @property
     def services(self) -> Services:
@@ -59,6 +61,7 @@ class Side:
             emergency_stop=EmergencyStop(self.desk),
             mission=MissionDesk(bus=self.bus),
             accounts=self.accounts,
+            pins=self.pins,
             changes=self.changes,
             is_connected=lambda: self.bus.is_connected,
             counters=lambda: self.intake.counters,
@@ -101,11 +104,14 @@ async def mapper_side(
     intake = Intake(bus=bus, records=records, fleet=fleet, changes=changes, commands=log, accounts=accounts)
     commander = Commander(bus=bus, name="mapper1")
     desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
+    pins = PinBoard(records=records, changes=changes)
+    await pins.restore()
     current_map = CurrentMap(
         records=records,
         recipe=make_recipe(recipe or RecipeConfig()),
         fleet=fleet,
         changes=changes,
+        pins=pins,
         min_interval_s=min_interval_s,
         window_ns=window_ns,
         clock=clock,
@@ -126,6 +132,7 @@ async def mapper_side(
             commander=commander,
             accounts=accounts,
             current_map=current_map,
+            pins=pins,
         )
         assert not any(task.done() for task in tasks)
     finally:

@@ -198,11 +198,11 @@ def test_after_a_restart_the_last_map_is_there_at_once_and_is_not_made_again(tmp
                 gateway.publish_status()
                 await level(side, change=len(RECORDS))
                 first = side.current_map.require()
-                drawn = await side.current_map.picture("svg")
+                drawn = await side.current_map.artist.picture("map", "svg")
             async with mapper_side(port, with_map=True, store=path) as side:
                 assert side.current_map.require() == first
                 await until(lambda: bool(side.fleet._n_encounters))
-                assert await side.current_map.picture("svg") == drawn
+                assert await side.current_map.artist.picture("map", "svg") == drawn
                 assert (side.current_map.worker.n_starts, side.current_map.status.n_waiting) == (0, 0)
                 # The worker has nothing yet: it is sent everything, and a map of everything is what it makes.
                 await until(lambda: side.bus.is_connected and gateway.is_heard)
@@ -271,11 +271,11 @@ def test_a_picture_that_a_newer_map_overtook_says_how_far_its_own_map_is_behind(
             await side.take_in(RECORDS)
             await level(side, change=n)
             assert (await client.get("/api/v1/map.png")).headers["map-waiting"] == "0"
-            artist = side.current_map._artist.pid
+            artist = side.current_map.artist._worker.pid
             assert artist is not None
             os.kill(artist, signal.SIGSTOP)
             drawing = asyncio.create_task(client.get("/api/v1/map.svg"))
-            await until(side.current_map._artist._lock.locked)
+            await until(side.current_map.artist._worker._lock.locked)
             await side.take_in([encounter(n + 1)])
             await level(side, change=n + 1)
             os.kill(artist, signal.SIGCONT)

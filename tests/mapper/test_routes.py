@@ -222,13 +222,23 @@ def test_places_that_nothing_joins_are_told() -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["landmark:7", "landmark:7@12.5", "landmark:north door", "biobot:a@b@3", "biobot:3@61.5", "point:17", "xy:1.5,-2,0", "xy:-1e-05,2,3"],
+    [
+        "landmark:7",
+        "landmark:7@12.5",
+        "landmark:north door",
+        "biobot:a@b@3",
+        "biobot:3@61.5",
+        "biobot:3",
+        "point:17",
+        "xy:1.5,-2,0",
+        "xy:-1e-05,2,3",
+    ],
 )
 def test_places_are_written_as_they_are_read(text: str) -> None:
     assert str(parse_place(text)) == text
 
 
-@pytest.mark.parametrize("text", ["", "landmark", "biobot:3", "point:-1", "xy:1", "xy:nan,1", "xy:1e999,0"])
+@pytest.mark.parametrize("text", ["", "landmark", "biobot:", "point:-1", "xy:1", "xy:nan,1", "xy:1e999,0"])
 def test_what_is_no_place_is_told(text: str) -> None:
     with pytest.raises(PlaceError):
         parse_place(text)

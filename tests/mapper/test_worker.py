@@ -146,11 +146,11 @@ def test_maps_follow_the_records_and_survive_the_death_of_the_worker() -> None:
                 assert side.current_map.last_fault is None
                 # What was handed out before does not change.
                 assert json.loads(snapshot.map_json) == document
-                svg = (await side.current_map.picture("svg"))[1]
-                png = (await side.current_map.picture("png"))[1]
+                svg = (await side.current_map.artist.picture("map", "svg"))[1].plain
+                png = (await side.current_map.artist.picture("map", "png"))[1].plain
                 assert b"<svg" in svg[:1000]
                 assert png.startswith(b"\x89PNG")
-                assert (await side.current_map.picture("svg"))[1] is svg
+                assert (await side.current_map.artist.picture("map", "svg"))[1].plain is svg
 
     asyncio.run(story())
 

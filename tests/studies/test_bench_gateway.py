@@ -21,12 +21,12 @@ def test_a_small_load_goes_through_a_gateway_and_a_store_that_lacks_a_part_of_it
     for path in (fewer, doubled):
         shutil.copy(whole, path)
     store = Store(fewer)
-    with store._transaction():
+    with store.transaction():
         store._db.execute("DELETE FROM record WHERE id IN (SELECT id FROM record WHERE kind = 0 ORDER BY id LIMIT 3)")
     store.close()
     assert check_store(fewer, tmp_path / "timetable.npz", seen=None).n_lost == 3
     store = Store(doubled)
-    with store._transaction():
+    with store.transaction():
         columns = "source, boot, sequence + 1000000, revision, kind, change + 1000000, body"
         query = f"INSERT INTO record (source, boot, sequence, revision, kind, change, body) SELECT {columns} FROM record WHERE kind = 0"
         store._db.execute(query + " ORDER BY id LIMIT 2")

@@ -1,0 +1,104 @@
+"""The endpoints of the newest finished map: all of it, and its numbers. Before the first map they answer 503 with what is awaited."""
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Annotated, Final
+
+from fastapi import APIRouter, Path, Request, Response
+from starlette.datastructures import Headers
+
+from mapper.api.data_schemas import BarcodeView, BettiView, CoverageView, DiagramView, HoleList, HoleView
+from mapper.api.descriptions import describe_answers
+from mapper.api.quick_answers import Answer, served
+from mapper.api.schemas import MapStatusView, MapView
+from mapper.api.services import Services
+from mapper.api.views import JSON_TYPE, json_response, view_map_status
+from mapper.map_extracts import extract_betti, extract_hole, extract_holes
+from mapper.map_snapshot import MapSnapshot
+from mapper.served_bytes import ServedBytes
+
+MAP_PATH: Final = "/api/v1/map"
+MAP_PROBLEMS: Final = (HTTPStatus.SERVICE_UNAVAILABLE,)
+_HOLE_PROBLEMS: Final = (HTTPStatus.NOT_FOUND, HTTPStatus.UNPROCESSABLE_ENTITY, HTTPStatus.SERVICE_UNAVAILABLE)
+_MOST_HOLES: Final = 10_000
+
+
+def quick_answers(services: Services) -> Mapping[str, Answer]:
+    """Return the answers to what is asked for most: the map."""
+
+    async def map_answer(request: Headers) -> Response:
+        snapshot = services.current_map.require()
+        return await served(request, snapshot.map, media_type=JSON_TYPE, headers=freshness(services, snapshot))
+
+    return {MAP_PATH: map_answer}
+
+
+def add_map_routes(router: APIRouter, services: Services) -> None:
+    """Add the map and what it says."""
+    answers = quick_answers(services)
+
+    @router.get(MAP_PATH, tags=["map"], responses=describe_answers(MapView, MAP_PROBLEMS, is_versioned=True))
+    async def get_map(request: Request) -> Response:
+        """Return the newest finished map: points, Rips complex, holes, intervals, landmarks, and the operator's frame."""
+        return await answers[MAP_PATH](request.headers)
+
+    @router.get("/api/v1/map/status", tags=["map"], responses=describe_answers(MapStatusView))
+    async def get_map_status() -> Response:
+        """Say what the newest finished map is of, how old it is, and how many records it waits to take in; small, to be asked often."""
+        return json_response(view_map_status(services.current_map.status))
+
+    @router.get("/api/v1/diagram", tags=["map"], responses=describe_answers(DiagramView, MAP_PROBLEMS, is_versioned=True))
+    async def get_diagram(request: Request) -> Response:
+        """Return the persistence diagram of the newest finished map."""
+        snapshot = services.current_map.require()
+        return await served(request.headers, snapshot.diagram, media_type=JSON_TYPE, headers=freshness(services, snapshot))
+
+    @router.get("/api/v1/barcode", tags=["map"], responses=describe_answers(BarcodeView, MAP_PROBLEMS, is_versioned=True))
+    async def get_barcode(request: Request) -> Response:
+        """Return the same intervals as a barcode, those that count first."""
+        snapshot = services.current_map.require()
+        return await served(request.headers, snapshot.barcode, media_type=JSON_TYPE, headers=freshness(services, snapshot))
+
+    _add_number_routes(router, services)
+
+
+def _add_number_routes(router: APIRouter, services: Services) -> None:
+    @router.get("/api/v1/betti", tags=["map"], responses=describe_answers(BettiView, MAP_PROBLEMS, is_versioned=True))
+    async def get_betti(request: Request) -> Response:
+        """Say how many components and holes there are, and how sure that is."""
+        snapshot = services.current_map.require()
+        return await _extracted(request, services, snapshot, extract_betti(snapshot.map_json))
+
+    @router.get("/api/v1/holes", tags=["map"], responses=describe_answers(HoleList, MAP_PROBLEMS, is_versioned=True))
+    async def get_holes(request: Request) -> Response:
+        """List the holes with outline, centre, size, errors and probability, and the loops that may be some."""
+        snapshot = services.current_map.require()
+        return await _extracted(request, services, snapshot, extract_holes(snapshot.map_json))
+
+    @router.get("/api/v1/holes/{number}", tags=["map"], responses=describe_answers(HoleView, _HOLE_PROBLEMS, is_versioned=True))
+    async def get_hole(
+        request: Request,
+        number: Annotated[int, Path(ge=1, le=_MOST_HOLES, description="Its number in the map's list, from 1", examples=[1])],
+    ) -> Response:
+        """Return one hole."""
+        snapshot = services.current_map.require()
+        return await _extracted(request, services, snapshot, extract_hole(snapshot.map_json, number))
+
+    @router.get("/api/v1/coverage", tags=["map"], responses=describe_answers(CoverageView, MAP_PROBLEMS, is_versioned=True))
+    async def get_coverage(request: Request) -> Response:
+        """Say how fast encounters come, whose they are, whether they hang together, what is missing, and how long that takes.
+
+        It is there before the first map, too.
+        """
+        return await served(request.headers, services.current_map.require_coverage(), media_type=JSON_TYPE, headers={})
+
+
+async def _extracted(request: Request, services: Services, snapshot: MapSnapshot, body: bytes) -> Response:
+    part = ServedBytes(body, tag=snapshot.map.tag)
+    return await served(request.headers, part, media_type=JSON_TYPE, headers=freshness(services, snapshot))
+
+
+def freshness(services: Services, snapshot: MapSnapshot) -> dict[str, str]:
+    """Make the headers that say how far this map is behind [s], and how many records it lacks; a newer one may have come meanwhile."""
+    n_waiting, behind_s = services.current_map.lag_of(snapshot)
+    return {"Map-Behind": f"{behind_s:.3f}", "Map-Waiting": str(n_waiting)}
