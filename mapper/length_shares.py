@@ -15,13 +15,10 @@ def encode_lengths(result: MapResult) -> bytes:
     -------
     bytes
         For each component in its order the upper triangle of its matrix, row by row, without the diagonal; its points are in the order of
-        ``MapResult.points``. A share is wrong by no more than 1 / 131,070. Empty where the matrices were not kept.
+        ``MapResult.points``. A share is wrong by no more than 1 / 131,070.
     """
-    diameter = result.diameter or 1.0
-    parts = [_condense(part.distances) for part in result.components if len(part.distances) == part.n_points]
-    if len(parts) < len(result.components):
-        return b""
-    shares = np.rint(np.concatenate(parts) / diameter * WHOLE)
+    parts = [_condense(part.distances) for part in result.components]
+    shares = np.rint(np.concatenate(parts) / (result.diameter or 1.0) * WHOLE)
     return shares.clip(0, WHOLE).astype("<u2").tobytes()
 
 
