@@ -14,6 +14,7 @@ from mapper.api.command_routes import add_command_routes, add_mission_routes
 from mapper.api.descriptions import describe_answers
 from mapper.api.event_stream import EventStream
 from mapper.api.map_routes import add_map_routes
+from mapper.api.past_routes import add_past_routes
 from mapper.api.picture_routes import add_picture_routes
 from mapper.api.place_routes import add_place_routes
 from mapper.api.schemas import (
@@ -45,6 +46,7 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     _add_record_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
+    add_past_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router
 

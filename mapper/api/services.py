@@ -8,6 +8,7 @@ from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
 from mapper.fleet import Fleet
+from mapper.map_history import MapHistory
 from mapper.mission_orders import MissionDesk
 from mapper.pin_board import PinBoard
 from mapper.stimulation_accounts import StimulationAccounts
@@ -30,6 +31,7 @@ class Services:
     records: StoreThread
     fleet: Fleet
     current_map: CurrentMap
+    history: MapHistory
     commands: CommandDesk
     emergency_stop: EmergencyStop
     mission: MissionDesk

@@ -20,12 +20,14 @@ from mapper.emergency_stop import EmergencyStop
 from mapper.fleet import Fleet
 from mapper.intake import Intake
 from mapper.kernels import choose_kernels
+from mapper.map_history import MapHistory
 from mapper.mission_orders import MissionDesk
 from mapper.pin_board import PinBoard
 from mapper.rips_engines import name_engine
 from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store import Store
 from mapper.store_thread import StoreThread
+from mapper.thinning import make_ladder
 from tests.mapper.fake_gateway import SITE, batch
 
 DEADLINE_S = 20.0
@@ -49,6 +51,7 @@ class Side:
     commander: Commander
     accounts: StimulationAccounts
     current_map: CurrentMap
+    history: MapHistory
     pins: PinBoard
 
     @property
@@ -57,6 +60,7 @@ class Side:
             records=self.records,
             fleet=self.fleet,
             current_map=self.current_map,
+            history=self.history,
             commands=self.desk,
             emergency_stop=EmergencyStop(self.desk),
             mission=MissionDesk(bus=self.bus),
@@ -106,7 +110,16 @@ async def mapper_side(
     desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
     pins = PinBoard(records=records, changes=changes)
     await pins.restore()
+    history = MapHistory(
+        records=records,
+        changes=changes,
+        ladder=make_ladder(all_s=300, minutes_s=7200, ten_minutes_s=86_400),
+        max_bytes=100_000_000,
+        made_by="test",
+        clock=clock,
+    )
     current_map = CurrentMap(
+        history=history,
         records=records,
         recipe=make_recipe(recipe or RecipeConfig()),
         fleet=fleet,
@@ -118,7 +131,7 @@ async def mapper_side(
     )
     if with_map:
         await current_map.restore()
-    runs = [intake.run(), desk.run(), commander.run(), *([current_map.run()] if with_map else [])]
+    runs = [intake.run(), desk.run(), commander.run(), *([current_map.run(), history.run()] if with_map else [])]
     tasks = [asyncio.create_task(run) for run in runs]
     await asyncio.sleep(0)
     try:
@@ -132,6 +145,7 @@ async def mapper_side(
             commander=commander,
             accounts=accounts,
             current_map=current_map,
+            history=history,
             pins=pins,
         )
         assert not any(task.done() for task in tasks)
