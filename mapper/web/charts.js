@@ -18,7 +18,7 @@ import { SpotPanel } from "./spot_panel.js";
 import { TimeSlider } from "./time_slider.js";
 import { Verdict, waitText } from "./verdict.js";
 
-const CONFLICT = 409, NOT_YET = 503;
+const CONFLICT = 409;
 
 /** Fill the three elements and keep them up to date; `live`, `net` and `account` are the page's. */
 export function createCharts({ headline, map, shape, live, net, account }) {
@@ -38,7 +38,9 @@ class Charts {
     this.past = new PastMaps(net);
     this.build({ headline, map, shape, account });
     live.follow(["map"], () => this.refreshMap());
-    live.follow(["map", "records"], () => this.refreshStatus());
+    live.follow(["records"], async () => {
+      if (this.newest.map === null) await this.hasMap();
+    });
     live.follow(["maps"], async () => this.time.show(await this.past.list()));
     live.follow(["map", "pins"], () => this.refreshPins());
     document.addEventListener("charts:show-version", (event) => this.time.pick(event.detail.version));
@@ -70,26 +72,24 @@ class Charts {
   }
 
   async refreshMap() {
-    try {
-      const [map, diagram] = await Promise.all([this.fetchMap(), this.fetchDiagram()]);
-      this.newest = { map: map ?? this.newest.map, diagram: diagram ?? this.newest.diagram };
-    } catch (problem) {
-      // Before the first map; the status says what it waits for.
-      if (problem.status === NOT_YET) return;
-      throw problem;
-    }
+    if (this.newest.map === null && !(await this.hasMap())) return;
+    const [map, diagram] = await Promise.all([this.fetchMap(), this.fetchDiagram()]);
+    this.newest = { map: map ?? this.newest.map, diagram: diagram ?? this.newest.diagram };
     if (this.time.version !== null) return;
     await this.show({ ...this.newest, isLive: true });
     if (this.newest.map.data?.is_enough === false) await this.expect();
     if (this.routeEnds) await this.findRoutes(...this.routeEnds).catch(() => this.places.clearRoutes());
   }
 
-  async refreshStatus() {
+  /** Whether there is a map; before that, say what it waits for, and how long that is likely to take. */
+  async hasMap() {
     const status = await this.net.getJson("/api/v1/map/status");
-    if (status.version !== null) return;
+    if (status.version !== null) return true;
     this.headline.showWaiting(status.n_known);
     setText(this.card.waitingText, status.waiting ?? "The map begins when biobots have met.");
-    await this.expect();
+    // What has come is looked at for the first map, or for why there is none.
+    if (this.live.versions.map > 0) await this.expect();
+    return false;
   }
 
   /** How long it is likely to take until the data are enough. */

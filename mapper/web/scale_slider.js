@@ -3,7 +3,7 @@
 import { make, setText } from "./dom.js";
 import { length } from "./format.js";
 
-const STEPS = 400;
+const STEPS = 120;
 /** Beyond the last loop by so much there is nothing more to see. */
 const BEYOND = 1.15;
 
