@@ -8,6 +8,7 @@ import { count } from "./format.js";
 import { Headline } from "./headline.js";
 import { HoleList, isSame } from "./hole_list.js";
 import { buildMapCard } from "./map_card.js";
+import { unitOf } from "./map_scene.js";
 import { MapView } from "./map_view.js";
 import { PastMaps } from "./past_maps.js";
 import { PlacesPanel } from "./places_panel.js";
@@ -87,8 +88,8 @@ class Charts {
     if (status.version !== null) return true;
     this.headline.showWaiting(status.n_known);
     setText(this.card.waitingText, status.waiting ?? "The map begins when biobots have met.");
-    // What has come is looked at for the first map, or for why there is none.
-    if (this.live.versions.map > 0) await this.expect();
+    // What has come is looked at while a map is made of it, or is found to be too little for one.
+    if (status.n_known > 0 && !status.is_computing) await this.expect();
     return false;
   }
 
@@ -260,7 +261,8 @@ class Charts {
     this.routes = found.routes.map((route) => ({ xy: route.xy, component: found.from.component }));
     this.view.mark({ spot: null });
     this.markPlaces();
-    return found;
+    const { factor, unit } = unitOf(this.newest.map, found.from.component);
+    return { length_unit: unit, routes: found.routes.map((route) => ({ ...route, length: route.length * factor, length_error: route.length_error * factor })) };
   }
 
   clearRoutes() {

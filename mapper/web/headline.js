@@ -2,6 +2,7 @@
 
 import { make, setText } from "./dom.js";
 import { clock, count, length, percent } from "./format.js";
+import { unitOf } from "./map_scene.js";
 
 const FIGURES = [["components", true], ["holes", true], ["encounters", false], ["diameter", false]];
 const WORDS = { components: "components", holes: "holes", encounters: "encounters", diameter: "across" };
@@ -33,7 +34,8 @@ export class Headline {
     const cause = map.window_s === null ? "from before the landmarks stood" : "from before the landmarks stood or the window began";
     this.values.encounters.title = `up to ${clock(map.last_encounter_s)}` + (map.n_before ? `; ${count(map.n_before)} more, ${cause}, are left out` : "");
     const error = Math.max(...map.components.map((part) => part.scale?.error ?? 0));
-    setText(this.values.diameter, length(map.diameter, map.parameters.length_unit) + (error ? ` ± ${Math.round(100 * error)} %` : ""));
+    const { factor, unit } = unitOf(map, map.components.findIndex((part) => part.diameter === map.diameter));
+    setText(this.values.diameter, length(map.diameter * factor, unit) + (error && !map.frame ? ` ± ${Math.round(100 * error)} %` : ""));
     setText(this.notices, [...limits(map), ...map.warnings].join(" · "));
   }
 

@@ -13,10 +13,10 @@ export class HoleList {
 
   show(map) {
     const focused = document.activeElement?.closest?.("[data-row]")?.dataset.row;
-    const unit = map.parameters.length_unit;
+    const unit = map.frame ? "m" : map.parameters.length_unit;
     const isEnough = map.data?.is_enough !== false;
     const listed = [
-      ...map.holes.map((hole, index) => ({ hole, chosen: { hole: index }, name: isEnough ? `Hole ${index + 1}` : `Hole ${index + 1}?` })),
+      ...map.holes.map((hole, index) => ({ hole: inFrame(map, hole, index), chosen: { hole: index }, name: isEnough ? `Hole ${index + 1}` : `Hole ${index + 1}?` })),
       ...(map.possible_holes ?? []).map((hole, index) => ({ hole, chosen: { possible: index }, name: "Possible" })).filter(({ hole }) => hole.probability >= LEAST_DRAWN),
     ];
     this.rows = listed.map(({ hole, chosen, name }) => ({ chosen, element: this.makeRow(hole, chosen, name, unit) }));
@@ -41,7 +41,7 @@ export class HoleList {
       make("th", { scope: "row" }, button),
       make("td", { className: "number" }, hole.probability == null ? "–" : percent(hole.probability).replace("over", ">").replace("under", "<")),
       make("td", { className: "number" }, told(hole.area, hole.area_error)),
-      make("td", { className: "number", title: `from ${round(hole.birth)} to ${round(hole.death)} ${unit} in the diagram` }, told(hole.perimeter, hole.perimeter_error)));
+      make("td", { className: "number" }, told(hole.perimeter, hole.perimeter_error)));
   }
 
   mark(chosen, kept) {
@@ -50,6 +50,13 @@ export class HoleList {
       element.querySelector("button").setAttribute("aria-pressed", String(isSame(own, kept)));
     }
   }
+}
+
+/** A hole with its size in metres of the operator's frame, where there is one; without a size where its component is not in it. */
+function inFrame(map, hole, index) {
+  if (!map.frame) return hole;
+  const { area = null, area_error = null, perimeter = null, perimeter_error = null } = map.frame.holes.find(({ number }) => number === index + 1) ?? {};
+  return { ...hole, area, area_error, perimeter, perimeter_error };
 }
 
 export function isSame(one, other) {

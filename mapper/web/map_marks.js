@@ -38,6 +38,11 @@ class Labels {
     this.wanted.push({ text, x, y, colour, size, weight, rank, isAlways });
   }
 
+  /** Keep names off a box [left, top, right, bottom]. */
+  reserve(box) {
+    this.taken.push(box);
+  }
+
   draw({ width, height }) {
     const { context } = this;
     context.textAlign = "center";
@@ -171,6 +176,7 @@ function drawPin(context, labels, pin, [x, y], colours) {
   context.arc(x, y - 18, 3.4, 0, 2 * Math.PI);
   context.fillStyle = colours.card;
   context.fill();
+  labels.reserve([x - 10, y - 28, x + 10, y]);
   labels.add(pin.name, [x, y - 37], { colour: colours.pin, size: 13, weight: 700, rank: 10, isAlways: true });
 }
 

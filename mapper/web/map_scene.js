@@ -91,6 +91,12 @@ export function boundsOf(places) {
   return places.length ? box : { left: 0, right: 0, low: 0, high: 0 };
 }
 
+/** How many units of the picture one of the map is, in a component: metres where pins fix the frame. Returns {factor, unit}. */
+export function unitOf(map, component) {
+  const fit = map.frame?.components.find((one) => one.component === component);
+  return fit ? { factor: fit.scale, unit: "m" } : { factor: 1, unit: map.parameters.length_unit };
+}
+
 /** Whether a place lies in a ring (not closed), by the even-odd rule. */
 export function isInside([x, y], ring) {
   let isIn = false;

@@ -31,7 +31,7 @@ export class PastMaps {
   /** What has changed from one map to a later one, in words. */
   async changeBetween(earlier, later) {
     const { summary } = await this.remember(`/api/v1/maps/${later}/difference?since=${earlier}`);
-    return summary.join("; ");
+    return summary.join("; ").replaceAll("+-", "±").replaceAll("->", "→");
   }
 
   async remember(path) {

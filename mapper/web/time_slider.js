@@ -17,8 +17,10 @@ export class TimeSlider {
     this.on = this.button("step-on", "❯", "The next map", () => this.step(1));
     this.range = make("input", { id: "time", type: "range", min: "0", max: "0", value: "0", step: "1", "aria-label": "Time of the map" });
     this.range.addEventListener("input", () => {
+      // Read first: whatever is rendered meanwhile puts the slider back to the map that is still shown.
+      const { version } = this.maps[Number(this.range.value)];
       this.stop();
-      this.pick(this.maps[Number(this.range.value)].version);
+      this.pick(version);
     });
     this.goLive = make("button", { id: "go-live", type: "button", className: "go-live", "aria-pressed": "true", onclick: () => this.returnToLive() }, "Live");
     this.when = make("p", { id: "time-text", className: "time-text", role: "status" });

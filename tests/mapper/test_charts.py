@@ -10,7 +10,18 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from firmware_protocol.contract.records import EncounterRecord
-from tests.mapper.browser_side import CHROMIUM, PHONE, Watched, accessibility_faults, fits_its_width, launched, opened, picture, tab_to, until
+from tests.mapper.browser_side import (
+    CHROMIUM,
+    PHONE,
+    Watched,
+    accessibility_faults,
+    fits_its_width,
+    launched,
+    opened,
+    picture,
+    tab_to,
+    until,
+)
 from tests.mapper.fake_gateway import FakeGateway, free_port
 from tests.mapper.serving import serving, token_of
 from tests.mapper.two_holes import two_holes
@@ -71,7 +82,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
             answer = client.get("api/v1/map/status").json()
             return bool(answer["n_encounters"] == n_encounters)
 
-        watched = stack.enter_context(opened(browser, url, token=token))
+        # How well encounters cover the place is not known before they were first looked at.
+        watched = stack.enter_context(opened(browser, url, token=token, expected=(r"status of 503",)))
         expect(watched.page.get_by_text("Waiting for encounters")).to_be_visible()
         gateway.journal_records(records[: n_modes + N_EARLY])
         until(lambda: knows(N_EARLY))
@@ -212,13 +224,18 @@ def test_another_scale_opens_and_closes_the_ground(page: Page) -> None:
     expect(value).not_to_have_text(own)
     page.keyboard.press("Home")
     expect(value).to_have_text("0 s")
-    page.get_by_role("button", name="auto").click()
+    page.get_by_role("button", name="auto", exact=True).click()
     expect(value).to_have_text(own)
 
 
 def test_what_is_shown_can_be_saved(page: Page) -> None:
     page.get_by_role("button", name="Save", exact=True).click()
-    for name, least in (("map as SVG", b"<svg"), ("map as PNG", b"\x89PNG"), ("map as GeoJSON", b"FeatureCollection"), ("encounters as CSV", b",")):
+    for name, least in (
+        ("map as SVG", b"<svg"),
+        ("map as PNG", b"\x89PNG"),
+        ("map as GeoJSON", b"FeatureCollection"),
+        ("encounters as CSV", b","),
+    ):
         with page.expect_download() as download:
             page.get_by_role("button", name=f"Save {name}").click()
         assert least in Path(download.value.path()).read_bytes()
@@ -226,7 +243,12 @@ def test_what_is_shown_can_be_saved(page: Page) -> None:
 
 
 def test_it_is_readable_at_every_size_and_theme_and_nobody_is_left_out(site: Site) -> None:
-    for name, size, scheme in (("desk-light", (1280, 800), "light"), ("desk-dark", (1280, 800), "dark"), ("phone-light", PHONE, "light"), ("phone-dark", PHONE, "dark")):
+    for name, size, scheme in (
+        ("desk-light", (1280, 800), "light"),
+        ("desk-dark", (1280, 800), "dark"),
+        ("phone-light", PHONE, "light"),
+        ("phone-dark", PHONE, "dark"),
+    ):
         with opened(site.browser, site.url, token=site.token, size=size, scheme=scheme, motion="reduce") as watched:
             expect(watched.page.locator("#holes")).to_have_text("2")
             watched.page.wait_for_function(f"({COUNT_PIXELS})('--hole') > 300")

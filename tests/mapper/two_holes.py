@@ -19,7 +19,9 @@ def two_holes(directory: Path) -> list[JournalRecord]:
     records: list[JournalRecord] = []
     for row in _rows(directory / "modes.csv"):
         if row["mode"] == "S" and row["cause"] == "command":
-            records.append(mode(len(records) + 1, node=int(row["id"]), t_ns=(_ns(row["t_start_s"]), None), mode=Mode.S, cause=Cause.COMMAND))
+            records.append(
+                mode(len(records) + 1, node=int(row["id"]), t_ns=(_ns(row["t_start_s"]), None), mode=Mode.S, cause=Cause.COMMAND)
+            )
     for row in _rows(directory / "encounters.csv"):
         nodes = int(row["id1"]), int(row["id2"])
         records.append(encounter(len(records) + 1, nodes=nodes, t_ns=(_ns(row["t_start_s"]), _ns(row["t_end_s"]))))
