@@ -7,11 +7,12 @@ from pathlib import Path
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Page, expect
 
 from firmware_protocol.contract.records import EncounterRecord
 from tests.mapper.browser_side import (
     CHROMIUM,
+    DESK,
     PHONE,
     Watched,
     accessibility_faults,
@@ -53,19 +54,16 @@ COUNT_PIXELS = """(name) => {
 
 
 @dataclass(frozen=True)
-class Site:
-    """A mapper that has seen a site become known: first too little for a statement, then two holes."""
+class Early:
+    """What was said of too little data."""
 
-    url: str
-    token: str
-    browser: Browser
-    early: Watched
-    early_verdict: str
-    early_holes: str
+    verdict: str
+    holes: str
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, Early]]:
+    """One page that sees a site become known: nothing, then too little for a statement, then two holes. Each test leaves it as it was."""
     directory = tmp_path_factory.mktemp("charts")
     records = two_holes(directory / "run")
     n_modes = sum(not isinstance(record, EncounterRecord) for record in records)
@@ -83,35 +81,33 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
             return bool(answer["n_encounters"] == n_encounters)
 
         # How well encounters cover the place is not known before they were first looked at.
-        watched = stack.enter_context(opened(browser, url, token=token, expected=(r"status of 503",)))
-        expect(watched.page.get_by_text("Waiting for encounters")).to_be_visible()
+        page = stack.enter_context(opened(browser, url, token=token, motion="reduce", expected=(r"status of 503",))).page
+        expect(page.get_by_text("Waiting for encounters")).to_be_visible()
         gateway.journal_records(records[: n_modes + N_EARLY])
         until(lambda: knows(N_EARLY))
-        expect(watched.page.locator("#holes")).to_have_text("?")
-        expect(watched.page.locator("#verdict")).to_contain_text("Likely")
-        verdict = watched.page.locator("#verdict").inner_text()
-        holes = watched.page.locator("#holes").inner_text()
-        picture(watched.page, "charts-not-enough")
+        expect(page.locator("#holes")).to_have_text("?")
+        expect(page.locator("#verdict")).to_contain_text("Likely")
+        early = Early(verdict=page.locator("#verdict").inner_text(), holes=page.locator("#holes").inner_text())
+        picture(page, "charts-not-enough")
         gateway.journal_records(records[n_modes + N_EARLY :])
         until(lambda: knows(len(records) - n_modes))
-        yield Site(url=url, token=token, browser=browser, early=watched, early_verdict=verdict, early_holes=holes)
+        expect(page.locator("#holes")).to_have_text("2")
+        yield page, early
 
 
 @pytest.fixture
-def page(site: Site) -> Iterator[Page]:
-    with opened(site.browser, site.url, token=site.token) as watched:
-        expect(watched.page.locator("#holes")).to_have_text("2")
-        yield watched.page
+def page(site: tuple[Page, Early]) -> Page:
+    return site[0]
 
 
-def test_too_little_is_said_in_place_of_holes_with_reason_remedy_and_time(site: Site) -> None:
-    assert site.early_holes == "?"
-    assert site.early_verdict.startswith("Not enough data yet")
+def test_too_little_is_said_in_place_of_holes_with_reason_remedy_and_time(site: tuple[Page, Early]) -> None:
+    page, early = site
+    assert early.holes == "?"
+    assert early.verdict.startswith("Not enough data yet")
     for word in ("Likely enough in about", "Why:", "What helps:"):
-        assert word in site.early_verdict
-    expect(site.early.page.locator("#holes")).to_have_text("2")
-    expect(site.early.page.locator("#verdict")).to_be_hidden()
-    assert "holes 2 (hole 1" in (site.early.page.locator("#map-canvas").get_attribute("aria-label") or "")
+        assert word in early.verdict
+    expect(page.locator("#verdict")).to_be_hidden()
+    assert "holes 2 (hole 1" in (page.locator("#map-canvas").get_attribute("aria-label") or "")
 
 
 def test_whatever_is_pointed_at_is_marked_everywhere(page: Page) -> None:
@@ -122,6 +118,7 @@ def test_whatever_is_pointed_at_is_marked_everywhere(page: Page) -> None:
     expect(page.locator("#holes-list tr.chosen")).to_have_count(1)
     page.wait_for_function(f"(least) => ({COUNT_PIXELS})('--hole') > least", arg=plain + 100)
     page.get_by_role("button", name="Barcode").click()
+    expect(page.locator("#diagram rect[data-hole]")).to_have_count(2)
     page.locator("#diagram rect[data-hole='0']").hover()
     expect(rows.nth(0)).to_have_class("chosen")
     rows.nth(1).hover()
@@ -136,6 +133,8 @@ def test_whatever_is_pointed_at_is_marked_everywhere(page: Page) -> None:
         if found == {"0", "1"}:
             break
     assert found == {"0", "1"}
+    page.mouse.move(0, 0)
+    page.get_by_role("button", name="Diagram", exact=True).click()
 
 
 def test_a_hole_is_kept_marked_by_keyboard(page: Page) -> None:
@@ -147,6 +146,9 @@ def test_a_hole_is_kept_marked_by_keyboard(page: Page) -> None:
     for key in ("+", "ArrowLeft", "ArrowUp", "-", "0"):
         page.keyboard.press(key)
     expect(page.locator("#holes-list tr.chosen")).to_have_count(1)
+    page.locator("#holes-list button[aria-pressed=true]").press("Enter")
+    page.locator("#map-canvas").focus()
+    expect(page.locator("#holes-list tr.chosen")).to_have_count(0)
 
 
 def test_one_slides_back_and_returns(page: Page) -> None:
@@ -212,6 +214,8 @@ def test_a_place_is_taken_from_the_map_by_keyboard(page: Page) -> None:
     expect(page.locator(".pins")).to_contain_text("pit")
     page.get_by_role("button", name="Remove pit").click()
     expect(page.locator(".pins")).not_to_contain_text("pit")
+    page.locator("#zoom-fit").click()
+    page.get_by_role("button", name="Diagram", exact=True).click()
 
 
 def test_another_scale_opens_and_closes_the_ground(page: Page) -> None:
@@ -242,16 +246,19 @@ def test_what_is_shown_can_be_saved(page: Page) -> None:
     expect(page.locator("#export-outcome")).to_contain_text("encounters.csv is saved")
 
 
-def test_it_is_readable_at_every_size_and_theme_and_nobody_is_left_out(site: Site) -> None:
-    for name, size, scheme in (
-        ("desk-light", (1280, 800), "light"),
-        ("desk-dark", (1280, 800), "dark"),
-        ("phone-light", PHONE, "light"),
+def test_it_is_readable_at_every_size_and_theme_and_nobody_is_left_out(page: Page) -> None:
+    for name, (width, height), scheme in (
         ("phone-dark", PHONE, "dark"),
+        ("phone-light", PHONE, "light"),
+        ("desk-dark", DESK, "dark"),
+        ("desk-light", DESK, "light"),
     ):
-        with opened(site.browser, site.url, token=site.token, size=size, scheme=scheme, motion="reduce") as watched:
-            expect(watched.page.locator("#holes")).to_have_text("2")
-            watched.page.wait_for_function(f"({COUNT_PIXELS})('--hole') > 300")
-            assert fits_its_width(watched.page)
-            assert accessibility_faults(watched.page) == []
-            picture(watched.page, f"charts-{name}")
+        page.set_viewport_size({"width": width, "height": height})
+        page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+        page.wait_for_function(
+            f"(theme) => document.documentElement.dataset.theme === theme && ({COUNT_PIXELS})('--hole') > 300", arg=scheme
+        )
+        assert fits_its_width(page)
+        picture(page, f"charts-{name}")
+        if name in {"phone-dark", "desk-light"}:
+            assert accessibility_faults(page) == []
