@@ -36,6 +36,8 @@ MapError
 ├── TaskNotFoundError      there is no job of this id
 ├── NoResultError          a job has no result, or none yet
 └── TooManyError           a limit on what runs at the same time is reached: ask again later
+
+Those of access are in `mapper.access.errors`.
 """
 
 from collections.abc import Mapping, Sequence

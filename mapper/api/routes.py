@@ -10,6 +10,7 @@ from typing import Annotated, Final
 
 from fastapi import APIRouter, Query, Response
 
+from mapper.api.alert_routes import add_alert_routes
 from mapper.api.command_routes import add_command_routes, add_mission_routes
 from mapper.api.descriptions import describe_answers
 from mapper.api.event_stream import EventStream
@@ -25,6 +26,7 @@ from mapper.api.schemas import (
     ReadyView,
 )
 from mapper.api.services import Services
+from mapper.api.token_routes import add_access_routes
 from mapper.api.views import (
     json_response,
     view_biobot,
@@ -47,6 +49,8 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     add_command_routes(router, services)
     add_mission_routes(router, services)
     add_past_routes(router, services)
+    add_alert_routes(router, services)
+    add_access_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router
 

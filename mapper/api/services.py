@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from mapper.access import Access
+from mapper.alert_watch import AlertWatch
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
@@ -32,10 +34,12 @@ class Services:
     fleet: Fleet
     current_map: CurrentMap
     history: MapHistory
+    alerts: AlertWatch
     commands: CommandDesk
     emergency_stop: EmergencyStop
     mission: MissionDesk
     accounts: StimulationAccounts
+    access: Access
     pins: PinBoard
     changes: Changes
     is_connected: Callable[[], bool]

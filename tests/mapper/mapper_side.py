@@ -1,13 +1,17 @@
 """The mapper's parts, put together as the service does, without the web server."""
 
 import asyncio
+import tempfile
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from firmware_protocol.contract.records import JournalRecord
+from mapper.access import Access, NewToken, Rate, RateLimits, Role, TokenRegister, add_token
+from mapper.alert_rules import AlertLimits
+from mapper.alert_watch import AlertWatch
 from mapper.api.services import Engines, Services
 from mapper.bus import Bus
 from mapper.changes import Changes, Topic
@@ -52,6 +56,9 @@ class Side:
     accounts: StimulationAccounts
     current_map: CurrentMap
     history: MapHistory
+    alerts: AlertWatch
+    access: Access
+    tokens: Mapping[Role, NewToken]
     pins: PinBoard
 
     @property
@@ -61,10 +68,12 @@ class Side:
             fleet=self.fleet,
             current_map=self.current_map,
             history=self.history,
+            alerts=self.alerts,
             commands=self.desk,
             emergency_stop=EmergencyStop(self.desk),
             mission=MissionDesk(bus=self.bus),
             accounts=self.accounts,
+            access=self.access,
             pins=self.pins,
             changes=self.changes,
             is_connected=lambda: self.bus.is_connected,
@@ -88,6 +97,16 @@ class Side:
         return await self.records.call(lambda store: store.n_encounters)
 
 
+PEOPLE = {Role.VIEWER: "vera", Role.OPERATOR: "anna", Role.ADMIN: "ada"}
+
+
+def make_access(path: Path, *, allows_anonymous_reading: bool = True, writes_burst: float = 100.0) -> tuple[Access, dict[Role, NewToken]]:
+    """Make a file of tokens, one for each role, and open it."""
+    tokens = {role: add_token(path, name=name, role=role) for role, name in PEOPLE.items()}
+    limits = RateLimits(reads=Rate(per_s=50.0, burst=500.0), writes=Rate(per_s=10.0, burst=writes_burst))
+    return Access(register=TokenRegister.open(path), limits=limits, allows_anonymous_reading=allows_anonymous_reading), tokens
+
+
 @asynccontextmanager
 async def mapper_side(
     port: int,
@@ -99,6 +118,8 @@ async def mapper_side(
     min_interval_s: float = 0.1,
     clock: Callable[[], int] = time.time_ns,
     more_ports: Sequence[int] = (),
+    allows_anonymous_reading: bool = True,
+    writes_burst: float = 100.0,
 ) -> AsyncIterator[Side]:
     records = await StoreThread.open(store)
     bus = await Bus.open(site=SITE, connect=tuple(f"tcp/127.0.0.1:{one}" for one in (port, *more_ports)), listen=())
@@ -129,9 +150,24 @@ async def mapper_side(
         window_ns=window_ns,
         clock=clock,
     )
+    alerts = AlertWatch(
+        records=records,
+        fleet=fleet,
+        changes=changes,
+        current_map=current_map,
+        limits=AlertLimits(),
+        sure=0.8,
+        is_connected=lambda: bus.is_connected,
+        faults=lambda: list(current_map.faults),
+    )
+    await alerts.restore()
     if with_map:
         await current_map.restore()
-    runs = [intake.run(), desk.run(), commander.run(), *([current_map.run(), history.run()] if with_map else [])]
+    folder = tempfile.TemporaryDirectory()
+    access, tokens = make_access(
+        Path(folder.name) / "tokens.json", allows_anonymous_reading=allows_anonymous_reading, writes_burst=writes_burst
+    )
+    runs = [intake.run(), desk.run(), commander.run(), access.register.run(), *([current_map.run(), history.run()] if with_map else [])]
     tasks = [asyncio.create_task(run) for run in runs]
     await asyncio.sleep(0)
     try:
@@ -146,6 +182,9 @@ async def mapper_side(
             accounts=accounts,
             current_map=current_map,
             history=history,
+            alerts=alerts,
+            access=access,
+            tokens=tokens,
             pins=pins,
         )
         assert not any(task.done() for task in tasks)
@@ -155,3 +194,4 @@ async def mapper_side(
         await asyncio.gather(*tasks, return_exceptions=True)
         await bus.aclose()
         await records.aclose()
+        folder.cleanup()
