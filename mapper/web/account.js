@@ -94,7 +94,7 @@ export class Account {
     input.removeAttribute("aria-invalid");
     element("sign-in-fault").textContent = "";
     this.panel.close();
-    tell(`Signed in as ${this.me.name}, ${this.me.role}.`, true);
+    say(`Signed in as ${this.me.name}, ${this.me.role}.`);
   }
 
   signOut() {
@@ -102,7 +102,7 @@ export class Account {
     this.me = NOBODY;
     this.show();
     this.panel.close();
-    tell("Signed out. The token is forgotten in this tab.");
+    say("Signed out. The token is forgotten in this tab.");
     this.onChange();
   }
 

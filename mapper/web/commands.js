@@ -34,7 +34,7 @@ export async function giveCommand({ key, action, onStage }) {
     let command = await send("POST", "/api/v1/commands", { biobot: key, action, id: crypto.randomUUID(), wait_s: 0 }, { tries: 2 });
     while (command.outcome === null) {
       step = stepOf(command);
-      onStage({ isFine: null, step, text: describe({ stage: command.stages.at(-1)?.stage }).text });
+      if (command.stages.length) onStage({ isFine: null, step, text: describe(command.stages.at(-1)).text });
       const path = `/api/v1/commands/${command.id}?wait_s=${WAIT_S}&seen=${command.stages.length}`;
       command = await getJson(path, { patienceMs: PATIENCE_MS });
     }

@@ -6,8 +6,8 @@ import { readTexts } from "./net.js";
 const MIN_PERIOD_MS = 400;
 // The mapper says something every 15 s, so that a line that is dead can be told from one where nothing happens.
 const SILENCE_MS = 40_000;
-const FIRST_WAIT_MS = 1000;
-const LONGEST_WAIT_MS = 15_000;
+const FIRST_WAIT_MS = 500;
+const LONGEST_WAIT_MS = 5000;
 
 export class Live {
   constructor() {
@@ -58,7 +58,7 @@ export class Live {
       this.setUp(false);
       waitMs = performance.now() - begun > LONGEST_WAIT_MS ? FIRST_WAIT_MS : Math.min(waitMs * 2, LONGEST_WAIT_MS);
       // Without a token that counts there is nothing to try again; signing in begins anew.
-      const pause = problem?.status === 401 ? 1e9 : this.isRestarting() ? 0 : waitMs / 2;
+      const pause = problem?.status === 401 ? 1e9 : this.isRestarting() ? 0 : waitMs;
       await new Promise((resolve) => {
         const timer = setTimeout(resolve, pause);
         this.wake = () => {

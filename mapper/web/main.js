@@ -33,7 +33,11 @@ const tabs = new Tabs({ list: element("tabs") });
 const live = new Live();
 const account = new Account({ onChange: () => live.restart() });
 const stateLine = new StateLine({ live });
-const roster = new Roster({ account, live, onCounts: (counts, n) => stateLine.showSwarm(counts, n) });
+const onLandmark = (key) => {
+  tabs.showMap();
+  document.dispatchEvent(new CustomEvent("charts:show-place", { detail: { place: `landmark:${key}` } }));
+};
+const roster = new Roster({ account, live, onCounts: (counts, n) => stateLine.showSwarm(counts, n), onLandmark });
 const mission = new Mission({ panel: element("mission"), account, live });
 const history = new CommandHistory({ panel: element("mission") });
 const onBiobot = (key) => {
@@ -86,10 +90,14 @@ live.follow(["map", "biobots", "commands"], refreshBiobots);
 live.follow(["mission"], refreshMission);
 live.follow(["map", "records"], async () => stateLine.showMap(await net.getJson("/api/v1/map/status")));
 live.follow(["map"], async () => stateLine.showHealth(await net.getJson("/healthz")));
-live.follow(["alerts"], () => alerts.refresh());
+const { paths } = await net.getJson("/openapi.json").catch(() => ({ paths: {} }));
+if ("/api/v1/alerts" in paths) live.follow(["alerts"], () => alerts.refresh());
+else element("tab-alerts").hidden = true;
 live.follow(["commands"], async () => history.show(await net.getJson(`/api/v1/commands?limit=${N_COMMANDS}`)));
-live.follow([], refreshRates);
-every(RATES_MS, async () => live.isUp && refreshRates());
+if ("/api/v1/coverage" in paths) {
+  live.follow([], refreshRates);
+  every(RATES_MS, async () => live.isUp && refreshRates());
+}
 every(LOOK_AGAIN_MS, lookAgain);
 setInterval(() => [stateLine, roster, mission, alerts].forEach((part) => part.tick()), TICK_MS);
 

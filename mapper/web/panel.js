@@ -1,5 +1,8 @@
 // A panel that opens and closes over the page. It is never modal: the stop of all stays in reach whatever is open.
 
+// What gets the focus when a panel opens: what is to be filled in, else what is to be read.
+const FIRST = ["input", "[tabindex='-1']", "button"];
+
 const open = new Set();
 
 export class Panel {
@@ -20,8 +23,8 @@ export class Panel {
     this.onOpen();
     this.panel.hidden = false;
     this.opener.setAttribute("aria-expanded", "true");
-    const first = [...this.panel.querySelectorAll("input, [tabindex='-1'], button")].find((control) => control.offsetParent !== null);
-    first?.focus();
+    const controls = FIRST.flatMap((selector) => [...this.panel.querySelectorAll(selector)]);
+    controls.find((control) => control.getClientRects().length)?.focus();
   }
 
   close({ keepFocus = false } = {}) {

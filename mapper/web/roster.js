@@ -9,8 +9,8 @@ import { COLUMNS, RosterRow } from "./roster_row.js";
 const element = (id) => document.getElementById(id);
 
 export class Roster {
-  constructor({ account, live, onCounts }) {
-    Object.assign(this, { account, live, onCounts });
+  constructor({ account, live, onCounts, onLandmark }) {
+    Object.assign(this, { account, live, onCounts, onLandmark });
     this.rows = new Map();
     this.rates = new Map();
     this.sorted = { column: "id", isDown: false };
@@ -71,7 +71,7 @@ export class Roster {
       const button = makeButton(label, () => this.sortBy(name), { title: more ?? "" });
       return make("th", { scope: "col", role: "columnheader", className: `c-${name}${isNumber ? " number" : ""}` }, button);
     });
-    element("columns").append(...cells, make("th", { scope: "col", role: "columnheader" }, "command"));
+    element("columns").append(...cells, make("th", { scope: "col", role: "columnheader", className: "c-commands" }, "command"));
     this.showSorted();
   }
 
@@ -89,12 +89,22 @@ export class Roster {
     });
   }
 
+  /** The rows in their order. As long as somebody points at the table or is in it, none moves: a press must not meet another biobot. */
+  inOrder(nowS) {
+    const rows = [...this.rows.values()];
+    if (this.body.matches(":hover, :focus-within")) {
+      const places = new Map([...this.body.children].map((element, place) => [element, place]));
+      return rows.sort((a, b) => (places.get(a.element) ?? rows.length) - (places.get(b.element) ?? rows.length));
+    }
+    const compare = orderBy(this.sorted.column, { nowS, rates: this.rates });
+    rows.sort((a, b) => compare(a.biobot, b.biobot));
+    return this.sorted.isDown ? rows.reverse() : rows;
+  }
+
   /** Bring the rows into order and hide those that are not looked for; what is in its place stays untouched. */
   arrange() {
     const nowS = this.live.serverNow();
-    const compare = orderBy(this.sorted.column, { nowS, rates: this.rates });
-    const rows = [...this.rows.values()].sort((a, b) => compare(a.biobot, b.biobot));
-    if (this.sorted.isDown) rows.reverse();
+    const rows = this.inOrder(nowS);
     let place = this.body.firstElementChild;
     for (const row of rows) {
       if (row.element === place) place = place.nextElementSibling;
@@ -116,7 +126,7 @@ export class Roster {
 
   addRow(key) {
     const onCommand = (row, action, label) => this.command(row, action, label);
-    const row = new RosterRow({ key, onCommand, account: this.account });
+    const row = new RosterRow({ key, onCommand, onLandmark: this.onLandmark, account: this.account });
     this.rows.set(key, row);
     return row;
   }
@@ -141,7 +151,7 @@ export class Roster {
     event.preventDefault();
     const next = this.shown[Math.min(Math.max(to, 0), this.shown.length - 1)];
     this.reach(next);
-    next.buttons[row.buttons.indexOf(event.target)].focus();
+    next.buttons[Math.max(row.buttons.indexOf(event.target), 0)].focus();
   }
 
   async command(row, action, label) {

@@ -24,7 +24,7 @@ const STEPS = ["sent", "accepted by the gateway", "sent by the radio", "confirme
 const LAST_STEP = 3;
 
 export class RosterRow {
-  constructor({ key, onCommand, account }) {
+  constructor({ key, onCommand, onLandmark, account }) {
     this.key = key;
     this.account = account;
     this.biobot = null;
@@ -35,6 +35,8 @@ export class RosterRow {
       this.cells[name].append(span);
       return span;
     });
+    this.place = makeButton("landmark", () => onLandmark(key), { className: "mode landmark", tabIndex: -1, hidden: true, "aria-label": `landmark: show ${key} on the map` });
+    this.cells.mode.append(this.place);
     this.dbm = make("span", { className: "dbm" });
     this.link.append(this.dbm);
     this.buttons = ACTIONS.map(({ action, label, name }) => {
@@ -54,6 +56,8 @@ export class RosterRow {
     const mode = modeOf(biobot);
     setText(this.mode, mode);
     setClass(this.mode, `mode ${mode}`);
+    this.mode.hidden = biobot.is_landmark;
+    this.place.hidden = !biobot.is_landmark;
     setText(this.cells.battery, biobot.battery_mv === null ? "–" : `${(biobot.battery_mv / 1000).toFixed(2)} V`);
     setClass(this.cells.battery, isBatteryLow(biobot) ? "c-battery number low" : "c-battery number");
     setText(this.cells.rate, rate === null ? "–" : rate.toFixed(rate < 10 ? 1 : 0));
@@ -97,7 +101,7 @@ export class RosterRow {
 
   /** Put its buttons into the order of Tab, or take them out: one row is in it, the arrows go to others. */
   setReachable(isReachable) {
-    this.buttons.forEach((button) => {
+    [this.place, ...this.buttons].forEach((button) => {
       button.tabIndex = isReachable ? 0 : -1;
     });
   }

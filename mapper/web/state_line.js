@@ -77,7 +77,7 @@ export class StateLine {
   showLink() {
     const alive = this.gateways.filter((gateway) => gateway.is_alive);
     const away = this.gateways.filter((gateway) => !gateway.is_alive).map((gateway) => gateway.name);
-    const silent = alive.flatMap((gateway) => Object.entries(gateway.radios).filter(([, state]) => state !== "up").map(([radio, state]) => `${radio} ${state}`));
+    const silent = alive.flatMap((gateway) => Object.entries(gateway.radios).filter(([, state]) => state !== "up").map(([radio, state]) => `${radio.replace(/^.*\//, "")} ${state}`));
     const [state, words] = !this.live.isUp ? ["bad", this.shownAt ? "mapper does not answer" : "connecting"]
       : away.length ? ["bad", `gateway ${away.join(", ")} is away`]
       : silent.length ? ["bad", `radio ${silent.join(", ")}`]

@@ -18,6 +18,11 @@ export class Tabs {
     this.choose(this.narrow.matches ? this.tabs[0] : this.tabs[1]);
   }
 
+  /** Bring the map into view: on a desk it is. */
+  showMap() {
+    if (this.narrow.matches) this.choose(this.tabs[0]);
+  }
+
   choose(chosen) {
     for (const tab of this.tabs) {
       const isChosen = tab === chosen;

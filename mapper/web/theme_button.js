@@ -1,6 +1,6 @@
 // The button that goes from the system's colours to light, to dark, and back; theme.js does it.
 
-const NAMES = { auto: "as the system", light: "light", dark: "dark" };
+const NAMES = { auto: "auto, as the system", light: "light", dark: "dark" };
 
 export function startThemeButton() {
   const button = document.getElementById("theme");
