@@ -38,7 +38,9 @@ def sign_in(page: Page, token: str) -> None:
     expect(page.locator("#account-open")).to_contain_text("operator")
 
 
-def test_an_operator_signs_in_stops_one_insect_pauses_the_mission_stops_all_and_sees_the_radio_fail(browser: Browser, tmp_path: Path) -> None:
+def test_an_operator_signs_in_stops_one_insect_pauses_the_mission_stops_all_and_sees_the_radio_fail(
+    browser: Browser, tmp_path: Path
+) -> None:
     settings = SystemSettings(out=tmp_path, seed=21, speed=8, n_biobots=N_BIOBOTS, n_landmarks=4, dispersion_s=2, exploration_s=300)
     with RunningSystem(settings=settings) as system, opened(browser, system.url + "/") as watched:
         page = watched.page

@@ -1,4 +1,4 @@
-"""What the page shows of a map, and what can be done with it, in a real browser: a simulated site with two obstacles, as it becomes known."""
+"""What the page shows of a map, and what can be done with it, in a real browser: a simulated site with two obstacles, as it gets known."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -14,7 +14,6 @@ from tests.mapper.browser_side import (
     CHROMIUM,
     DESK,
     PHONE,
-    Watched,
     accessibility_faults,
     fits_its_width,
     launched,

@@ -137,7 +137,9 @@ def test_who_is_not_signed_in_looks_and_signs_in_and_out(site: Site) -> None:
         expect(page.locator("#outcome")).to_contain_text("Start biobot 1: confirmed by the biobot")
         page.reload()
         expect(account).to_have_text("anna · operator")
-        assert site.token(Role.OPERATOR) not in page.evaluate("location.href + JSON.stringify(localStorage) + document.documentElement.outerHTML")
+        assert site.token(Role.OPERATOR) not in page.evaluate(
+            "location.href + JSON.stringify(localStorage) + document.documentElement.outerHTML"
+        )
         account.click()
         page.get_by_role("button", name="Sign out").click()
         expect(account).to_have_text("Sign in")
@@ -289,7 +291,12 @@ def test_all_of_it_is_reached_by_keys_alone(site: Site, operator: Watched) -> No
     page.keyboard.press("Home")
     expect(page.get_by_role("tabpanel", name="Biobots")).to_be_visible()
     tab_to(page, "#rows button")
-    for key, name in (("ArrowDown", "Stop biobot 2"), ("End", f"Stop biobot {N_BIOBOTS}"), ("PageUp", "Stop biobot 2"), ("Home", "Stop biobot 1")):
+    for key, name in (
+        ("ArrowDown", "Stop biobot 2"),
+        ("End", f"Stop biobot {N_BIOBOTS}"),
+        ("PageUp", "Stop biobot 2"),
+        ("Home", "Stop biobot 1"),
+    ):
         page.keyboard.press(key)
         expect(page.get_by_role("button", name=name, exact=True)).to_be_focused()
     page.keyboard.press("ArrowDown")
@@ -306,7 +313,9 @@ def test_all_of_it_is_reached_by_keys_alone(site: Site, operator: Watched) -> No
     assert outline != "none"
 
 
-@pytest.mark.parametrize(("scheme", "sizes"), [("light", {"Biobots": DESK, "Mission": PHONE}), ("dark", {"Biobots": PHONE, "Mission": DESK})])
+@pytest.mark.parametrize(
+    ("scheme", "sizes"), [("light", {"Biobots": DESK, "Mission": PHONE}), ("dark", {"Biobots": PHONE, "Mission": DESK})]
+)
 def test_nobody_is_shut_out_on_a_desk_and_on_a_phone(site: Site, scheme: Any, sizes: dict[str, tuple[int, int]]) -> None:
     with opened(site.browser, site.url, token=site.token(Role.OPERATOR), scheme=scheme, motion="reduce") as watched:
         page = site.known(watched.page)
@@ -373,7 +382,9 @@ def modules(site: Site) -> Iterator[Page]:
     page.close()
 
 
-LINES = st.lists(st.sampled_from(["data: {}", "data:x", "data", "event: change", ": still here", "", "", "id: 7", "retry: 1000", "däta: ü"]), max_size=12)
+LINES = st.lists(
+    st.sampled_from(["data: {}", "data:x", "data", "event: change", ": still here", "", "", "id: 7", "retry: 1000", "däta: ü"]), max_size=12
+)
 ENDS = st.sampled_from(["\n", "\r\n", "\r"])
 
 
