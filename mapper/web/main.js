@@ -70,6 +70,8 @@ function showMission() {
 }
 
 async function refreshRates() {
+  // Before the first map there are none, which the mapper tells as an error.
+  if (!stateLine.hasMap) return;
   const { biobots } = await net.getJson("/api/v1/coverage");
   roster.setRates(new Map(biobots.map(({ key, per_minute: rate }) => [key, rate])));
 }
@@ -88,16 +90,17 @@ function every(ms, task) {
 
 live.follow(["map", "biobots", "commands"], refreshBiobots);
 live.follow(["mission"], refreshMission);
-live.follow(["map", "records"], async () => stateLine.showMap(await net.getJson("/api/v1/map/status")));
+live.follow(["map", "records"], async () => {
+  const hadMap = stateLine.hasMap;
+  stateLine.showMap(await net.getJson("/api/v1/map/status"));
+  if (stateLine.hasMap && !hadMap) await refreshRates();
+});
 live.follow(["map"], async () => stateLine.showHealth(await net.getJson("/healthz")));
 const { paths } = await net.getJson("/openapi.json").catch(() => ({ paths: {} }));
 if ("/api/v1/alerts" in paths) live.follow(["alerts"], () => alerts.refresh());
 else element("tab-alerts").hidden = true;
 live.follow(["commands"], async () => history.show(await net.getJson(`/api/v1/commands?limit=${N_COMMANDS}`)));
-if ("/api/v1/coverage" in paths) {
-  live.follow([], refreshRates);
-  every(RATES_MS, async () => live.isUp && refreshRates());
-}
+every(RATES_MS, async () => live.isUp && refreshRates());
 every(LOOK_AGAIN_MS, lookAgain);
 setInterval(() => [stateLine, roster, mission, alerts].forEach((part) => part.tick()), TICK_MS);
 

@@ -44,6 +44,10 @@ export class StateLine {
     this.tick();
   }
 
+  get hasMap() {
+    return this.map !== null && this.map.version !== null;
+  }
+
   showSwarm({ online, lost, unknown }, n) {
     const chip = element("swarm");
     chip.hidden = n === 0;
@@ -65,7 +69,7 @@ export class StateLine {
       setText(chip, `${word}, ${age(this.live.serverNow() - secondsOf(this.phase.t_start_wall_ns))}`);
       setClass(chip, `chip ${this.phase.phase === "paused" ? "state-warn" : ""}`);
     }
-    element("freshness").hidden = this.map === null || this.map.version === null;
+    element("freshness").hidden = !this.hasMap;
     if (!element("freshness").hidden) {
       const { begun_wall_ns: begunNs, n_waiting: nWaiting, waiting } = this.map;
       setText(element("age"), age(this.live.serverNow() - secondsOf(begunNs)) + (nWaiting ? ` +${count(nWaiting)}` : ""));

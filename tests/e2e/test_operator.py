@@ -21,7 +21,8 @@ N_BIOBOTS = 16
 # Every text that the steps of a command had, in order: none is missed, however short it stood.
 KEEP_STEPS = """(steps) => {
   window.kept = [];
-  new MutationObserver(() => kept.at(-1) !== steps.ariaLabel && kept.push(steps.ariaLabel)).observe(steps, { attributeFilter: ["aria-label"] });
+  const keep = () => kept.at(-1) !== steps.ariaLabel && kept.push(steps.ariaLabel);
+  new MutationObserver(keep).observe(steps, { attributeFilter: ["aria-label"] });
 }"""
 
 
@@ -56,7 +57,8 @@ def test_an_operator_signs_in_stops_one_insect_pauses_the_mission_stops_all_and_
         expect(page.locator("#outcome")).to_contain_text(f"Stop biobot {key}: confirmed by the biobot", timeout=PATIENCE_MS)
         stages = ["sent", "accepted by the gateway", "sent by the radio", "confirmed by the biobot"]
         kept = [stages.index(text.removeprefix(f"Stop biobot {key}: ")) for text in page.evaluate("kept")]
-        assert kept == sorted(kept) and kept[-1] == len(stages) - 1
+        assert kept == sorted(kept)
+        assert kept[-1] == len(stages) - 1
         (told,) = (one for one in system.get("/api/v1/commands")["commands"] if one["origin"] == "here")
         assert [stage["stage"] for stage in told["stages"]] == ["accepted", "radio_confirmed", "biobot_confirmed"]
         expect(page.locator(f"#rows tr[data-key='{key}']")).to_contain_text("landmark", timeout=PATIENCE_MS)

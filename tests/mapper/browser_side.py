@@ -61,8 +61,10 @@ def opened(
     motion: Literal["reduce", "no-preference"] = "no-preference",
     expected: Sequence[str] = (),
 ) -> Iterator[Watched]:
-    """Open a page, signed in with ``token``; at the end it has asked nobody else and complained of nothing but what is ``expected`` (regular
-    expressions)."""
+    """Open a page, signed in with ``token``; at the end it has asked nobody else, and complained of nothing.
+
+    What is ``expected`` of complaints, by regular expressions, does not count.
+    """
     page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme, reduced_motion=motion)
     watched = Watched(page=page)
 

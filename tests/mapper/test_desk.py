@@ -409,7 +409,8 @@ def test_events_are_the_same_however_the_stream_is_cut(modules: Page, lines: lis
 
 def events_in(lines: list[str], *, is_open: bool) -> list[list[str]]:
     """Read server-sent events line by line, as the HTML standard has it (9.2.6); a last CR may yet be half an end of line."""
-    events, kind, parts = [], "", []
+    events: list[list[str]] = []
+    kind, parts = "", list[str]()
     for number, line in enumerate(lines, 1):
         if line == "":
             if parts and not (is_open and number == len(lines)):
@@ -454,7 +455,8 @@ def test_every_biobot_is_in_one_state_and_has_one_place_in_every_order(
         """async ([biobots, shuffled, column]) => {
           const { countStates, isWanted, orderBy } = await import("/static/biobot_state.js");
           const compare = orderBy(column, { nowS: 200, rates: new Map() });
-          const kinds = ["online", "lost", "unknown"].map((kind) => biobots.filter((one) => isWanted(one, { words: [], kind, nowS: 200 })).length);
+          const howMany = (kind) => biobots.filter((one) => isWanted(one, { words: [], kind, nowS: 200 })).length;
+          const kinds = ["online", "lost", "unknown"].map(howMany);
           return [countStates(biobots, 200), [biobots, shuffled].map((list) => [...list].sort(compare).map((one) => one.key)), kinds];
         }""",
         [biobots, shuffled, column],
