@@ -35,7 +35,7 @@ export class PlacesPanel {
       make("form", { className: "place-form", "aria-label": "Name a place", onsubmit: (event) => this.put(event) },
         field("Name", this.name), field("Place", this.place), field("x [m]", this.x, "narrow"), field("y [m]", this.y, "narrow"), this.pinButton),
       this.list, this.frame,
-      make("form", { className: "place-form", "aria-label": "Find ways", onsubmit: (event) => this.findRoutes(event) },
+      make("form", { className: "place-form", "aria-label": "Ways between places", onsubmit: (event) => this.findRoutes(event) },
         field("From", this.from), field("To", this.to), make("button", { type: "submit", className: "main" }, "Show ways"),
         make("button", { type: "button", id: "route-clear", onclick: () => this.clearRoutes() }, "Clear")),
       this.routes, this.outcome);

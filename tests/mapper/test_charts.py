@@ -235,14 +235,15 @@ def test_what_is_shown_can_be_saved(page: Page) -> None:
     page.get_by_role("button", name="Save", exact=True).click()
     for name, least in (
         ("map as SVG", b"<svg"),
-        ("map as PNG", b"\x89PNG"),
+        ("diagram as PNG", b"\x89PNG"),
         ("map as GeoJSON", b"FeatureCollection"),
-        ("encounters as CSV", b","),
+        ("map as JSON", b"hole_count"),
     ):
         with page.expect_download() as download:
             page.get_by_role("button", name=f"Save {name}").click()
         assert least in Path(download.value.path()).read_bytes()
-    expect(page.locator("#export-outcome")).to_contain_text("encounters.csv is saved")
+    expect(page.locator("#export-outcome")).to_contain_text("map.json is saved")
+    page.get_by_role("button", name="Diagram", exact=True).click()
 
 
 def test_it_is_readable_at_every_size_and_theme_and_nobody_is_left_out(page: Page) -> None:
