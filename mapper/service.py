@@ -203,6 +203,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, token_file: Pat
         )
         await alerts.restore()
         services = Services(
+            bus=bus,
             records=records,
             fleet=fleet,
             current_map=current_map,

@@ -27,6 +27,7 @@ from mapper.api.schemas import (
     ReadyView,
 )
 from mapper.api.services import Services
+from mapper.api.site_routes import add_site_routes
 from mapper.api.token_routes import add_access_routes
 from mapper.api.views import (
     json_response,
@@ -51,6 +52,7 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     add_mission_routes(router, services)
     add_past_routes(router, services)
     add_alert_routes(router, services)
+    add_site_routes(router, services)
     add_access_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router

@@ -64,6 +64,7 @@ class Side:
     @property
     def services(self) -> Services:
         return Services(
+            bus=self.bus,
             records=self.records,
             fleet=self.fleet,
             current_map=self.current_map,
