@@ -87,6 +87,7 @@ class Charts {
     const status = await this.net.getJson("/api/v1/map/status");
     if (status.version !== null) return true;
     this.headline.showWaiting(status.n_known);
+    setText(this.card.waitingTitle, status.n_known ? "Not enough data yet" : "Waiting for encounters");
     setText(this.card.waitingText, status.waiting ?? "The map begins when biobots have met.");
     // What has come is looked at while a map is made of it, or is found to be too little for one.
     if (status.n_known > 0 && !status.is_computing) await this.expect();

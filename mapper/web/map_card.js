@@ -19,7 +19,8 @@ export function buildMapCard(root, { onLayer, onZoom, onFit }) {
   const antennae = make("div", { className: "antennae", "aria-hidden": "true" }, make("i"), make("i"), make("i"));
   const waitingText = make("p", { id: "waiting-text" }, "The map begins when biobots have met.");
   const waitingTime = make("p", { id: "waiting-time" });
-  const waiting = make("div", { id: "waiting", className: "waiting" }, antennae, make("p", {}, make("strong", { id: "waiting-title" }, "Waiting for encounters")), waitingText, waitingTime);
+  const waitingTitle = make("strong", { id: "waiting-title" }, "Waiting for encounters");
+  const waiting = make("div", { id: "waiting", className: "waiting", role: "status" }, antennae, make("p", {}, waitingTitle), waitingText, waitingTime);
   const stage = make("div", { className: "stage" }, canvas, tip, waiting);
   const verdict = make("div", { id: "verdict", className: "verdict", role: "status", hidden: true });
   const time = make("div", { id: "timeline", className: "timeline" });
@@ -36,5 +37,5 @@ export function buildMapCard(root, { onLayer, onZoom, onFit }) {
     verdict, stage, time,
     make("div", { className: "legend" }, make("div", { className: "layers", role: "group", "aria-label": "Layers" }, ...layers), scale));
   root.setAttribute("aria-labelledby", "map-title");
-  return { canvas, tip, stage, waiting, waitingText, waitingTime, verdict, time, scale, hint };
+  return { canvas, tip, stage, waiting, waitingTitle, waitingText, waitingTime, verdict, time, scale, hint };
 }

@@ -18,11 +18,14 @@ export class ScaleSlider {
     this.own = make("button", { id: "scale-own", type: "button", title: "The scale that shows this map's holes best", "aria-pressed": "true", onclick: () => this.choose(null) }, "auto");
     this.range.addEventListener("input", () => this.choose((Number(this.range.value) / STEPS) * this.limit()));
     root.replaceChildren(make("label", { htmlFor: "scale" }, "scale"), this.range, this.value, this.own);
+    root.hidden = true;
+    this.root = root;
   }
 
   /** `canChoose` false: the lengths of this map are not kept. */
   show(map, { canChoose }) {
     this.map = map;
+    this.root.hidden = false;
     this.range.disabled = !canChoose;
     this.range.title = canChoose ? "Places no further apart than this are joined" : "Only the newest map can be drawn at another scale";
     this.render();

@@ -99,7 +99,7 @@ export class TimeSlider {
     const at = this.place(), map = this.maps[at];
     if (Number(this.range.value) !== at) this.range.value = String(at);
     const isLive = this.version === null;
-    const text = isLive ? `Live: the newest map. Slide back to see ${this.maps.length} earlier ones, from ${clock(this.maps[0].wall_ns / 1e9)} on` : `${clock(map.wall_ns / 1e9)}, ${age(this.live.serverNow() - map.wall_ns / 1e9)} ago`;
+    const text = isLive ? `Live: the newest map. Slide back to see earlier ones, from ${clock(this.maps[0].wall_ns / 1e9)} on` : `${clock(map.wall_ns / 1e9)}, ${age(this.live.serverNow() - map.wall_ns / 1e9)} ago`;
     setText(this.when, this.change ? `${text}. Since then: ${this.change}.` : text);
     this.range.setAttribute("aria-valuetext", text);
     this.goLive.setAttribute("aria-pressed", String(isLive));
