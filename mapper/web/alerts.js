@@ -6,11 +6,14 @@ import { age, clock, count, secondsOf } from "./format.js";
 import { getJson, send } from "./net.js";
 
 const RANK = { critical: 0, warning: 1, info: 2 };
+const BIOBOT = /^biobot (\d+)$/;
 const TRIES = 2;
+const MAX_SPOKEN = 3;
+const LIMIT = 1000;
 
 export class Alerts {
-  constructor({ panel, badge, account, live, onBiobot }) {
-    Object.assign(this, { badge, account, live, onBiobot });
+  constructor({ panel, badge, account, live, onBiobot, onLow }) {
+    Object.assign(this, { badge, account, live, onBiobot, onLow });
     this.known = null;
     this.items = new Map();
     this.now = make("ul", { className: "alert-list", "aria-label": "Alerts that hold" });
@@ -21,7 +24,7 @@ export class Alerts {
   }
 
   async refresh() {
-    this.show((await getJson("/api/v1/alerts")).alerts);
+    this.show((await getJson(`/api/v1/alerts?limit=${LIMIT}`)).alerts);
   }
 
   show(alerts) {
@@ -39,13 +42,17 @@ export class Alerts {
     this.badge.className = `badge ${open[0]?.severity ?? ""}`;
     if (open.length) this.badge.replaceChildren(count(open.length), make("span", { className: "unseen" }, " not acknowledged"));
     this.speak(on);
+    this.onLow(new Set(on.filter(({ kind }) => kind === "battery_low").map(({ subject }) => BIOBOT.exec(subject)?.[1])));
   }
 
   /** Those that are there when the page opens are on the badge; later ones are spoken. */
   speak(on) {
     const fresh = this.known === null ? [] : on.filter(({ id }) => !this.known.has(id));
     this.known = new Set([...(this.known ?? []), ...on.map(({ id }) => id)]);
-    if (fresh.length) say(fresh.map((alert) => `${alert.severity}: ${alert.text}`).join(" "), { isUrgent: fresh[0].severity === "critical" });
+    if (!fresh.length) return;
+    const told = fresh.slice(0, MAX_SPOKEN).map((alert) => `${alert.severity}: ${alert.text}`);
+    const more = fresh.length > MAX_SPOKEN ? ` And ${count(fresh.length - MAX_SPOKEN)} more alerts.` : "";
+    say(told.join(" ") + more, { isUrgent: fresh[0].severity === "critical" });
   }
 
   fill(list, alerts) {
@@ -71,7 +78,7 @@ export class Alerts {
 
   async acknowledge(id) {
     try {
-      await send("POST", `/api/v1/alerts/${encodeURIComponent(id)}/acknowledgement`, {}, { tries: TRIES });
+      await send("POST", `/api/v1/alerts/${id}/acknowledgement`, undefined, { tries: TRIES });
       await this.refresh();
     } catch (problem) {
       if (problem.status === undefined) throw problem;
@@ -106,17 +113,17 @@ class AlertItem {
     setText(this.text, alert.text);
     this.acknowledge.hidden = Boolean(alert.acknowledged_by);
     this.acknowledge.setAttribute("aria-label", `Acknowledge: ${alert.subject}, ${alert.kind}`);
-    this.biobot = /^biobot (\d+)$/.exec(alert.subject)?.[1] ?? null;
+    this.biobot = BIOBOT.exec(alert.subject)?.[1] ?? null;
     this.find.hidden = this.biobot === null;
     this.find.setAttribute("aria-label", `Show biobot ${this.biobot} in the table`);
     this.tick(nowS);
   }
 
   tick(nowS) {
-    const { since_wall_ns: sinceNs, is_on: isOn, acknowledged_by: by, acknowledged_wall_ns: byNs } = this.alert;
+    const { since_wall_ns: sinceNs, ended_wall_ns: endedNs, is_on: isOn, acknowledged_by: by, acknowledged_wall_ns: byNs } = this.alert;
     const since = secondsOf(sinceNs);
     const seen = by ? ` · acknowledged by ${by} at ${clock(secondsOf(byNs))}` : "";
-    setText(this.when, (isOn ? `since ${clock(since)} (${age(nowS - since)})` : `from ${clock(since)}`) + seen);
+    setText(this.when, (isOn ? `since ${clock(since)} (${age(nowS - since)})` : `from ${clock(since)} to ${clock(secondsOf(endedNs))}`) + seen);
   }
 
   remove() {

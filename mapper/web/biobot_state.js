@@ -2,8 +2,6 @@
 
 import { secondsOf } from "./format.js";
 
-// The CC2530 runs from 2.0 V on (data sheet SWRS081); this leaves time to act.
-const LOW_BATTERY_MV = 2200;
 const LOST_AFTER_S = 60;
 // dBm; a CC2530 hears down to about -97 (data sheet SWRS081, typical), so that the last step has 12 dB of margin.
 const STRONG_DBM = -65;
@@ -30,10 +28,6 @@ export function modeOf(biobot) {
   return biobot.is_halted ? NAMES.halted : NAMES.still;
 }
 
-export function isBatteryLow(biobot) {
-  return biobot.battery_mv !== null && biobot.battery_mv < LOW_BATTERY_MV;
-}
-
 /** {bars, words, more}: 1 to 4 bars, the signal [dBm], and all in words; bars null where nobody has told. */
 export function linkOf(biobot) {
   const { rssi_dbm: rssi, lqi } = biobot;
@@ -49,10 +43,11 @@ export function countStates(biobots, nowS) {
   return counts;
 }
 
-/** Whether a biobot is one of those that are looked for: by words, each of which begins its id, state, mode, or gateway; and by a kind. */
-export function isWanted(biobot, { words, kind, nowS }) {
+/** Whether a biobot is one of those that are looked for: by words, each of which begins its id, state, mode, or gateway; and by a
+ * kind. `low` are the keys of those whose battery is low. */
+export function isWanted(biobot, { words, kind, nowS, low }) {
   const state = stateOf(biobot, nowS), mode = modeOf(biobot);
-  const isOfKind = { "": true, low: isBatteryLow(biobot), still: mode === "still" || mode === "stopped" }[kind] ?? (kind === state || kind === mode);
+  const isOfKind = { "": true, low: low.has(biobot.key), still: mode === "still" || mode === "stopped" }[kind] ?? (kind === state || kind === mode);
   return isOfKind && words.every((word) => [biobot.key, state, mode, biobot.gateway].some((text) => text.toLowerCase().startsWith(word)));
 }
 

@@ -41,10 +41,10 @@ const roster = new Roster({ account, live, onCounts: (counts, n) => stateLine.sh
 const mission = new Mission({ panel: element("mission"), account, live });
 const history = new CommandHistory({ panel: element("mission") });
 const onBiobot = (key) => {
-  tabs.choose(element("tab-biobots"));
+  tabs.want(element("tab-biobots"));
   roster.find(key);
 };
-const alerts = new Alerts({ panel: element("alerts"), badge: element("alert-badge"), account, live, onBiobot });
+const alerts = new Alerts({ panel: element("alerts"), badge: element("alert-badge"), account, live, onBiobot, onLow: (low) => roster.setLow(low) });
 
 const fetchers = Object.fromEntries(Object.entries({ biobots: "/api/v1/biobots", mission: "/api/v1/mission" }).map(([name, path]) => [name, net.makeFetcher(path)]));
 let missions = { phase: null, gateways: [] };
@@ -96,9 +96,7 @@ live.follow(["map", "records"], async () => {
   if (stateLine.hasMap && !hadMap) await refreshRates();
 });
 live.follow(["map"], async () => stateLine.showHealth(await net.getJson("/healthz")));
-const { paths } = await net.getJson("/openapi.json").catch(() => ({ paths: {} }));
-if ("/api/v1/alerts" in paths) live.follow(["alerts"], () => alerts.refresh());
-else element("tab-alerts").hidden = true;
+live.follow(["alerts"], () => alerts.refresh());
 live.follow(["commands"], async () => history.show(await net.getJson(`/api/v1/commands?limit=${N_COMMANDS}`)));
 every(RATES_MS, async () => live.isUp && refreshRates());
 every(LOOK_AGAIN_MS, lookAgain);

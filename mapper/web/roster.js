@@ -13,6 +13,7 @@ export class Roster {
     Object.assign(this, { account, live, onCounts, onLandmark });
     this.rows = new Map();
     this.rates = new Map();
+    this.low = new Set();
     this.sorted = { column: "id", isDown: false };
     this.reachable = null;
     this.body = element("rows");
@@ -30,7 +31,7 @@ export class Roster {
     for (const biobot of biobots) {
       gone.delete(biobot.key);
       const row = this.rows.get(biobot.key) ?? this.addRow(biobot.key);
-      row.update(biobot, { nowS, rate: this.rates.get(biobot.key) ?? null });
+      this.update(row, biobot, nowS);
     }
     gone.forEach((key) => this.removeRow(key));
     this.arrange();
@@ -40,9 +41,23 @@ export class Roster {
   /** Learn how many encounters each has a minute, by key. */
   setRates(rates) {
     this.rates = rates;
+    this.updateAll();
+  }
+
+  /** Learn whose battery is low: a set of keys. */
+  setLow(low) {
+    this.low = low;
+    this.updateAll();
+  }
+
+  updateAll() {
     const nowS = this.live.serverNow();
-    this.rows.forEach((row) => row.update(row.biobot, { nowS, rate: rates.get(row.key) ?? null }));
-    if (this.sorted.column === "rate") this.arrange();
+    this.rows.forEach((row) => this.update(row, row.biobot, nowS));
+    this.arrange();
+  }
+
+  update(row, biobot, nowS) {
+    row.update(biobot, { nowS, rate: this.rates.get(row.key) ?? null, isLow: this.low.has(row.key) });
   }
 
   /** Show one biobot alone, and give its row the focus. */
@@ -112,7 +127,7 @@ export class Roster {
     }
     const words = element("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
     const kind = element("only").value;
-    this.shown = rows.filter((row) => isWanted(row.biobot, { words, kind, nowS }));
+    this.shown = rows.filter((row) => isWanted(row.biobot, { words, kind, nowS, low: this.low }));
     const shown = new Set(this.shown);
     rows.forEach((row) => {
       row.element.hidden = !shown.has(row);

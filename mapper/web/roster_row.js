@@ -1,6 +1,6 @@
 // One biobot in the table: what is said of it, its commands, and how far the last one has come.
 
-import { isBatteryLow, linkOf, modeOf, silenceOf, stateOf } from "./biobot_state.js";
+import { linkOf, modeOf, silenceOf, stateOf } from "./biobot_state.js";
 import { make, makeButton, setClass, setText } from "./dom.js";
 import { age, count } from "./format.js";
 
@@ -51,7 +51,7 @@ export class RosterRow {
   }
 
   /** Show what is known now; only what is new touches the document. */
-  update(biobot, { nowS, rate }) {
+  update(biobot, { nowS, rate, isLow }) {
     this.biobot = biobot;
     const mode = modeOf(biobot);
     setText(this.mode, mode);
@@ -59,7 +59,7 @@ export class RosterRow {
     this.mode.hidden = biobot.is_landmark;
     this.place.hidden = !biobot.is_landmark;
     setText(this.cells.battery, biobot.battery_mv === null ? "–" : `${(biobot.battery_mv / 1000).toFixed(2)} V`);
-    setClass(this.cells.battery, isBatteryLow(biobot) ? "c-battery number low" : "c-battery number");
+    setClass(this.cells.battery, isLow ? "c-battery number low" : "c-battery number");
     setText(this.cells.rate, rate === null ? "–" : rate.toFixed(rate < 10 ? 1 : 0));
     this.cells.rate.title = `${count(biobot.n_encounters)} encounters so far`;
     const { bars, words, more } = linkOf(biobot);

@@ -6,21 +6,30 @@ export class Tabs {
   constructor({ list }) {
     this.tabs = [...list.querySelectorAll("[role='tab']")];
     this.narrow = matchMedia(NARROW);
-    this.tabs.forEach((tab) => tab.addEventListener("click", () => this.choose(tab)));
+    this.wasChosen = null;
+    this.tabs.forEach((tab) => tab.addEventListener("click", () => this.want(tab)));
     list.addEventListener("keydown", (event) => this.onKey(event));
     this.narrow.addEventListener("change", () => this.arrange());
     this.arrange();
   }
 
-  /** The map is always there where there is room; on a phone it is one of the panels, and the first. */
+  /** The map is always there where there is room; on a phone it is one of the panels, and the first. What was chosen stays. */
   arrange() {
-    this.tabs[0].hidden = !this.narrow.matches;
-    this.choose(this.narrow.matches ? this.tabs[0] : this.tabs[1]);
+    const [map, first] = this.tabs;
+    map.hidden = !this.narrow.matches;
+    if (this.narrow.matches) this.choose(this.wasChosen ?? map);
+    else this.choose(this.wasChosen === null || this.wasChosen === map ? first : this.wasChosen);
   }
 
   /** Bring the map into view: on a desk it is. */
   showMap() {
-    if (this.narrow.matches) this.choose(this.tabs[0]);
+    if (this.narrow.matches) this.want(this.tabs[0]);
+  }
+
+  /** Show what somebody wants to see. */
+  want(tab) {
+    this.wasChosen = tab;
+    this.choose(tab);
   }
 
   choose(chosen) {
@@ -41,7 +50,7 @@ export class Tabs {
     if (at < 0 || to === undefined) return;
     event.preventDefault();
     const tab = shown[(to + shown.length) % shown.length];
-    this.choose(tab);
+    this.want(tab);
     tab.focus();
   }
 }

@@ -82,4 +82,9 @@ def test_an_operator_signs_in_stops_one_insect_pauses_the_mission_stops_all_and_
 
         system.process("simulator").kill()
         expect(page.locator("#link")).to_contain_text("radio", timeout=PATIENCE_MS)
+        page.get_by_role("tab", name="Alerts").click()
+        alert = page.get_by_role("list", name="Alerts that hold").get_by_role("listitem").filter(has_text="radio").first
+        expect(alert).to_be_visible(timeout=PATIENCE_MS)
         picture(page, "operator-radio-down")
+        alert.get_by_role("button", name="Acknowledge").click()
+        expect(alert).to_contain_text(f"acknowledged by {told['operator']}")

@@ -1,5 +1,6 @@
 """What stands around the map: who is signed in, the table of biobots, missions, the stop; for every size, theme and way to use it."""
 
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -71,7 +72,7 @@ class Site:
             self.gateway.publish_node(
                 node,
                 heard_ns=time.time_ns() - (300 * S if node == LOST else 0),
-                battery_mv=2050 if node == LOW else 2900 + node,
+                battery_mv=2050 if node == LOW else 3900 + node,
                 mode=Mode.S if is_still else Mode.CRW,
                 cause=Cause.NATURAL,
             )
@@ -95,7 +96,20 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
         gateway = stack.enter_context(FakeGateway(port=port))
         browser = stack.enter_context(launched())
         url, _process = stack.enter_context(serving(directory, connect=port))
-        yield Site(gateway=gateway, url=url, browser=browser, directory=directory)
+        is_over = threading.Event()
+
+        def beat() -> None:
+            """Speak every second, as gateways do: one that is silent is away."""
+            while not is_over.wait(1.0):
+                gateway.publish_status()
+
+        beating = threading.Thread(target=beat)
+        beating.start()
+        try:
+            yield Site(gateway=gateway, url=url, browser=browser, directory=directory)
+        finally:
+            is_over.set()
+            beating.join()
 
 
 @pytest.fixture
@@ -187,7 +201,7 @@ def test_the_table_says_who_is_lost_and_finds_and_sorts(site: Site, operator: Wa
     expect(page.locator("#rows tr:visible")).to_have_count(1)
     expect(page.locator("#shown")).to_have_text(f"1 of {N_BIOBOTS}")
     page.get_by_label("Only").select_option("low")
-    expect(row(page, LOW)).to_be_visible()
+    expect(row(page, LOW)).to_be_visible(timeout=WAIT_MS)
     expect(page.locator("#rows tr:visible")).to_have_count(1)
     page.get_by_label("Only").select_option("")
     page.get_by_label("Find").fill("gateway1 walk")
@@ -280,6 +294,26 @@ def test_orders_that_set_biobots_walking_are_asked_back_and_say_what_the_gateway
     assert [order.action for order in gateway.orders] == [MissionAction.START, MissionAction.PAUSE]
 
 
+def test_an_alert_is_counted_acknowledged_with_a_name_and_leads_to_its_biobot(site: Site, operator: Watched) -> None:
+    page = operator.page
+    page.get_by_role("tab", name="Alerts").click()
+    alert = page.get_by_role("list", name="Alerts that hold").get_by_role("listitem").filter(has_text=f"biobot {LOW}")
+    expect(alert).to_contain_text("warning", timeout=WAIT_MS)
+    badge = page.locator("#alert-badge")
+    before = int((badge.text_content() or "").split()[0])
+    alert.get_by_role("button", name=f"Acknowledge: biobot {LOW}").click()
+    expect(alert).to_contain_text("acknowledged by anna at")
+    expect(alert.get_by_role("button", name="Acknowledge")).to_be_hidden()
+    if before > 1:
+        expect(badge).to_contain_text(str(before - 1))
+    else:
+        expect(badge).to_be_hidden()
+    alert.get_by_role("button", name=f"Show biobot {LOW}").click()
+    expect(page.get_by_role("tabpanel", name="Biobots")).to_be_visible()
+    expect(page.get_by_role("button", name=f"Stop biobot {LOW}", exact=True)).to_be_focused()
+    expect(page.locator("#rows tr:visible")).to_have_count(1)
+
+
 def test_all_of_it_is_reached_by_keys_alone(site: Site, operator: Watched) -> None:
     page = operator.page
     page.keyboard.press("Tab")
@@ -314,7 +348,11 @@ def test_all_of_it_is_reached_by_keys_alone(site: Site, operator: Watched) -> No
 
 
 @pytest.mark.parametrize(
-    ("scheme", "sizes"), [("light", {"Biobots": DESK, "Mission": PHONE}), ("dark", {"Biobots": PHONE, "Mission": DESK})]
+    ("scheme", "sizes"),
+    [
+        ("light", {"Biobots": DESK, "Mission": PHONE, "Alerts": DESK}),
+        ("dark", {"Biobots": PHONE, "Mission": DESK, "Alerts": PHONE}),
+    ],
 )
 def test_nobody_is_shut_out_on_a_desk_and_on_a_phone(site: Site, scheme: Any, sizes: dict[str, tuple[int, int]]) -> None:
     with opened(site.browser, site.url, token=site.token(Role.OPERATOR), scheme=scheme, motion="reduce") as watched:
@@ -455,7 +493,7 @@ def test_every_biobot_is_in_one_state_and_has_one_place_in_every_order(
         """async ([biobots, shuffled, column]) => {
           const { countStates, isWanted, orderBy } = await import("/static/biobot_state.js");
           const compare = orderBy(column, { nowS: 200, rates: new Map() });
-          const howMany = (kind) => biobots.filter((one) => isWanted(one, { words: [], kind, nowS: 200 })).length;
+          const howMany = (kind) => biobots.filter((one) => isWanted(one, { words: [], kind, nowS: 200, low: new Set() })).length;
           const kinds = ["online", "lost", "unknown"].map(howMany);
           return [countStates(biobots, 200), [biobots, shuffled].map((list) => [...list].sort(compare).map((one) => one.key)), kinds];
         }""",
