@@ -32,6 +32,7 @@ MapError
 ├── PinNotFoundError       there is no pin of this name
 ├── PinRefusedError        a pin cannot be kept as things stand
 ├── TaskNotFoundError      there is no job of this id
+├── PeriodError            a time was asked for that ends before it begins
 ├── NoResultError          a job has no result, or none yet
 └── TooManyError           a limit on what runs at the same time is reached: ask again later
 """
@@ -360,6 +361,15 @@ class NoResultError(MapError):
         super().__init__(f"job {task!r} has no result, it is {state}{why}; {next_step}")
         self.task = task
         self.state = state
+
+
+class PeriodError(MapError):
+    """A time was asked for that ends before it begins."""
+
+    def __init__(self, *, begin: float, until: float) -> None:
+        super().__init__(f"the time asked for ends at {until:.15g} s, not after its begin at {begin:.15g} s; give a later end")
+        self.begin = begin
+        self.until = until
 
 
 class TooManyError(MapError):

@@ -31,9 +31,11 @@ from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_
 from mapper.connection import ConnectionWatch
 from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
+from mapper.encounter_export import Exports
 from mapper.errors import EngineMissingError, ListenError, MapError, OutputFileError
 from mapper.fleet import Fleet
 from mapper.intake import Intake
+from mapper.jobs import JobDesk
 from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
 from mapper.mission_orders import MissionDesk
@@ -158,6 +160,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             window_ns=None if serve.window_s is None else round(serve.window_s * 1e9),
         )
         await current_map.restore()
+        jobs = JobDesk(records=records, changes=changes, pins=pins, recipe=config.recipe, new_id=lambda: secrets.token_hex(6))
 
         def counters() -> Mapping[str, int]:
             return {
@@ -179,6 +182,8 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             mission=MissionDesk(bus=bus),
             accounts=accounts,
             pins=pins,
+            jobs=jobs,
+            exports=Exports(records),
             changes=changes,
             is_connected=lambda: bus.is_connected,
             counters=counters,
@@ -189,7 +194,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         server = _Server(_server_config(services, stream, serve))
         stack.enter_context(_signals_set(stopping))
         async with asyncio.TaskGroup() as group:
-            parts = (intake, desk, commander, current_map, watermarks, watch)
+            parts = (intake, desk, commander, current_map, jobs, watermarks, watch)
             tasks = [group.create_task(part.run(), name=type(part).__name__) for part in parts]
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
             group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")

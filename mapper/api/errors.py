@@ -14,6 +14,7 @@ from mapper.errors import (
     BiobotNotFoundError,
     CommandNotFoundError,
     CommandRefusedError,
+    EngineMissingError,
     GatewayAwayError,
     HoleNotFoundError,
     JobError,
@@ -21,6 +22,7 @@ from mapper.errors import (
     NoMapYetError,
     NoResultError,
     OrderRefusedError,
+    PeriodError,
     PinNotFoundError,
     PinRefusedError,
     PlaceError,
@@ -44,6 +46,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     PinRefusedError: HTTPStatus.CONFLICT,
     NoResultError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
+    PeriodError: HTTPStatus.UNPROCESSABLE_ENTITY,
     PlaceError: HTTPStatus.UNPROCESSABLE_ENTITY,
     RouteError: HTTPStatus.NOT_FOUND,
     TooManyError: HTTPStatus.TOO_MANY_REQUESTS,
@@ -53,6 +56,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     WorkerDiedError: HTTPStatus.SERVICE_UNAVAILABLE,
     StoreError: HTTPStatus.SERVICE_UNAVAILABLE,
     JobError: HTTPStatus.INTERNAL_SERVER_ERROR,
+    EngineMissingError: HTTPStatus.NOT_IMPLEMENTED,
 }
 
 _RETRY_AFTER_S: Final[Mapping[type[MapError], int]] = {

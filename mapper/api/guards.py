@@ -31,7 +31,8 @@ _DEFAULT_FIELDS: Final = [
     for name, value in {**SECURITY_HEADERS, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}.items()
 ]
 _SAFE_METHODS: Final = {"GET", "HEAD", "OPTIONS"}
-_NO_HEAD: Final = {"/api/v1/events"}  # an endless answer has no length to tell
+_NO_HEAD: Final = {"/api/v1/events", "/api/v1/encounters.csv", "/api/v1/encounters.parquet"}
+"""What is written as it is sent has no length to tell."""
 
 
 class Guard:

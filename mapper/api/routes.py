@@ -13,6 +13,8 @@ from fastapi import APIRouter, Query, Response
 from mapper.api.command_routes import add_command_routes, add_mission_routes
 from mapper.api.descriptions import describe_answers
 from mapper.api.event_stream import EventStream
+from mapper.api.export_routes import add_export_routes
+from mapper.api.job_routes import add_job_routes
 from mapper.api.map_routes import add_map_routes
 from mapper.api.picture_routes import add_picture_routes
 from mapper.api.place_routes import add_place_routes
@@ -43,6 +45,8 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     add_picture_routes(router, services)
     add_place_routes(router, services)
     _add_record_routes(router, services)
+    add_export_routes(router, services)
+    add_job_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
     _add_watch_routes(router, services, stream)

@@ -214,13 +214,9 @@ class ComplexView(AnswerModel):
     triangles: list[list[int]]
 
 
-class MapView(AnswerModel):
-    """The map; lengths in ``parameters.length_unit``."""
+class MapBody(AnswerModel):
+    """A map; lengths in ``parameters.length_unit``."""
 
-    version: int
-    begun_wall_ns: int = Field(description="It is of all records that had come by then")
-    computed_wall_ns: int
-    computing_s: float
     frame: dict[str, object] | None = Field(
         description="How components are brought to the operator's frame [m]: operator = matrix * map + shift; null: pins fix none"
     )
@@ -249,6 +245,15 @@ class MapView(AnswerModel):
     last_encounter_s: float
     parameters: dict[str, object]
     warnings: list[str]
+
+
+class MapView(MapBody):
+    """The newest finished map; lengths in ``parameters.length_unit``."""
+
+    version: int
+    begun_wall_ns: int = Field(description="It is of all records that had come by then")
+    computed_wall_ns: int
+    computing_s: float
 
 
 class MapStatusView(AnswerModel):

@@ -7,7 +7,9 @@ from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
+from mapper.encounter_export import Exports
 from mapper.fleet import Fleet
+from mapper.jobs import JobDesk
 from mapper.mission_orders import MissionDesk
 from mapper.pin_board import PinBoard
 from mapper.stimulation_accounts import StimulationAccounts
@@ -35,6 +37,8 @@ class Services:
     mission: MissionDesk
     accounts: StimulationAccounts
     pins: PinBoard
+    jobs: JobDesk
+    exports: Exports
     changes: Changes
     is_connected: Callable[[], bool]
     counters: Callable[[], Mapping[str, int]]

@@ -1,6 +1,7 @@
 """The mapper's parts, put together as the service does, without the web server."""
 
 import asyncio
+import itertools
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
@@ -17,8 +18,10 @@ from mapper.commands import CommandDesk
 from mapper.config import RecipeConfig, make_recipe
 from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
+from mapper.encounter_export import Exports
 from mapper.fleet import Fleet
 from mapper.intake import Intake
+from mapper.jobs import JobDesk
 from mapper.kernels import choose_kernels
 from mapper.mission_orders import MissionDesk
 from mapper.pin_board import PinBoard
@@ -50,6 +53,7 @@ class Side:
     accounts: StimulationAccounts
     current_map: CurrentMap
     pins: PinBoard
+    jobs: JobDesk
 
     @property
     def services(self) -> Services:
@@ -62,6 +66,8 @@ class Side:
             mission=MissionDesk(bus=self.bus),
             accounts=self.accounts,
             pins=self.pins,
+            jobs=self.jobs,
+            exports=Exports(self.records),
             changes=self.changes,
             is_connected=lambda: self.bus.is_connected,
             counters=lambda: self.intake.counters,
@@ -116,9 +122,13 @@ async def mapper_side(
         window_ns=window_ns,
         clock=clock,
     )
+    names = itertools.count(1)
+    jobs = JobDesk(
+        records=records, changes=changes, pins=pins, recipe=recipe or RecipeConfig(), new_id=lambda: f"job{next(names)}", clock=clock
+    )
     if with_map:
         await current_map.restore()
-    runs = [intake.run(), desk.run(), commander.run(), *([current_map.run()] if with_map else [])]
+    runs = [intake.run(), desk.run(), commander.run(), jobs.run(), *([current_map.run()] if with_map else [])]
     tasks = [asyncio.create_task(run) for run in runs]
     await asyncio.sleep(0)
     try:
@@ -133,6 +143,7 @@ async def mapper_side(
             accounts=accounts,
             current_map=current_map,
             pins=pins,
+            jobs=jobs,
         )
         assert not any(task.done() for task in tasks)
     finally:

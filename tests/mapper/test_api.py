@@ -316,7 +316,6 @@ def test_every_error_of_the_mapper_that_can_reach_the_web_has_a_status() -> None
         "OutOfMemoryError",
         "UnknownBiobotError",
         "OutputFileError",
-        "EngineMissingError",
         "TooFewEncountersError",
         "TooManyEncountersError",
         "BusError",
