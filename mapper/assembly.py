@@ -9,7 +9,8 @@ from mapper.component_map import PlacedComponent
 from mapper.landmark_stands import Stands, make_landmarks
 from mapper.types import EncounterTable, FloatArray, Hole, IntArray, MapResult, Points, Recipe, read_only
 
-_GAP_SHARE = 0.1  # of the largest diameter, between components drawn side by side
+GAP_SHARE = 0.1
+"""Of the largest diameter: between components drawn side by side."""
 
 
 def assemble(
@@ -91,7 +92,7 @@ def _move_hole(hole: Hole, *, first_point: int, shift: FloatArray) -> Hole:
 
 def _side_by_side(placed: Sequence[PlacedComponent]) -> FloatArray:
     """Move each component to the right of the one before; the first stays where it is."""
-    gap = _GAP_SHARE * max(part.summary.diameter for part in placed)
+    gap = GAP_SHARE * max(part.summary.diameter for part in placed)
     moved = [placed[0].coordinates]
     for part in placed[1:]:
         shift = moved[-1][:, 0].max() + gap - part.coordinates[:, 0].min()

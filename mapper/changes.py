@@ -15,6 +15,9 @@ class Topic(StrEnum):
     MISSION = "mission"
     PINS = "pins"
     JOBS = "jobs"
+    MAPS = "maps"
+    """Which maps of the past are kept."""
+    ALERTS = "alerts"
 
 
 class Changes:

@@ -173,17 +173,46 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise ValueError(str(error)) from error
 
 
+class HistoryConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which maps of the past ``biobot-mapper serve`` keeps.
+
+    Keys
+    ----
+    all_s
+        Every finished map of so long; of what is older, one a minute.
+    minutes_s
+        One a minute of so long; of what is older, one in ten minutes.
+    ten_minutes_s
+        One in ten minutes of so long; of what is older, one an hour.
+    max_mb
+        They take no more than this, compressed [MB]: the oldest go.
+    """
+
+    all_s: Annotated[int, Meta(ge=0, le=86_400)] = 300
+    minutes_s: Annotated[int, Meta(ge=0, le=31_536_000)] = 7_200
+    ten_minutes_s: Annotated[int, Meta(ge=0, le=31_536_000)] = 86_400
+    max_mb: Annotated[float, Meta(ge=1, le=100_000)] = 100.0
+
+    def __post_init__(self) -> None:
+        """Refuse times that do not ascend: each begins where the one before ends."""
+        if not self.all_s <= self.minutes_s <= self.ten_minutes_s:
+            raise ValueError(
+                f"all_s, minutes_s and ten_minutes_s are {self.all_s}, {self.minutes_s} and {self.ten_minutes_s}, but must not descend"
+            )
+
+
 class MapperConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All that one configuration file of the mapper may say; ``biobot-mapper run`` heeds ``recipe`` alone.
 
     Keys
     ----
-    recipe, serve, tls, zenoh
+    recipe, serve, history, tls, zenoh
         Tables of their own.
     """
 
     recipe: RecipeConfig = RecipeConfig()
     serve: ServiceConfig = ServiceConfig()
+    history: HistoryConfig = HistoryConfig()
     tls: TlsTable = TlsTable()
     zenoh: ZenohTable = ZenohTable()
 

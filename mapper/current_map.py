@@ -13,6 +13,7 @@ from mapper.errors import JobError, MapError, NoMapYetError, StoreError, WorkerD
 from mapper.fleet import Fleet
 from mapper.log import EventLog
 from mapper.map_artist import MapArtist
+from mapper.map_history import MapHistory
 from mapper.map_job import MapDocuments, OutOfStep, TooFew, make_map
 from mapper.map_snapshot import FinishedMap, MapSnapshot, fingerprint, pack, unpack
 from mapper.pin_board import PinBoard
@@ -80,6 +81,7 @@ class CurrentMap:
         fleet: Fleet,
         changes: Changes,
         pins: PinBoard,
+        history: MapHistory,
         min_interval_s: float,
         window_ns: int | None = None,
         clock: Callable[[], int] = time.time_ns,
@@ -99,6 +101,8 @@ class CurrentMap:
         self._pins = pins
         self._framing = asyncio.Lock()
         self._min_interval_s = min_interval_s
+        self._history = history
+        self._before: bytes | None = None
         self._latest: MapSnapshot | None = None
         self._coverage: ServedBytes | None = None
         self._standstill: _Standstill | None = None
@@ -117,6 +121,10 @@ class CurrentMap:
     def latest(self) -> MapSnapshot | None:
         """The last finished map, None before the first."""
         return self._latest
+
+    @property
+    def _newest_version(self) -> int:
+        return max(self._history.newest_version, 0 if self._latest is None else self._latest.version)
 
     @property
     def status(self) -> MapStatus:
@@ -205,6 +213,8 @@ class CurrentMap:
     async def restore(self) -> None:
         """Serve the map that was kept before the last end, if this recipe and program made it and it can be read."""
         self._look_at_clocks()
+        self._before = await self._history.restore()
+        self._n_skipped = ceil(KEEP_PERIOD_S / self._min_interval_s) if self._history.newest_version else 0
         try:
             kept = await self._records.call(Store.kept_map, made_by=self._made_by)
         except StoreError as error:
@@ -287,8 +297,9 @@ class CurrentMap:
         self._look_at_clocks()
         # Whatever ends this job early ends the worker's copy with it, or leaves it in doubt: the next one gets everything.
         self._n_sent = 0
+        previous = self._before if self._latest is None else self._latest.map_json
         outcome = await self.worker.run(
-            make_map, delta, self._recipe, window_ns=self._window_ns, now_ns=self._clock(), pins=self._pins.pins
+            make_map, delta, self._recipe, window_ns=self._window_ns, now_ns=self._clock(), pins=self._pins.pins, previous=previous
         )
         self._n_sent = delta.change
         return outcome, delta.change
@@ -299,7 +310,7 @@ class CurrentMap:
 
     def _publish(self, documents: MapDocuments, *, change: int, begun_wall_ns: int, computing_s: float) -> None:
         finished = FinishedMap(
-            version=self._latest.version + 1 + self._n_skipped if self._latest else 1,
+            version=self._newest_version + 1 + self._n_skipped,
             begun_wall_ns=begun_wall_ns,
             computed_wall_ns=self._clock(),
             computing_s=round(computing_s, 4),
@@ -307,6 +318,7 @@ class CurrentMap:
         )
         self._latest = MapSnapshot.of(finished, change=change)
         self._coverage = self._latest.coverage
+        self._history.take(self._latest)
         self._n_skipped = 0
         if self._standstill is not None:
             _log.info("map.goes_on", after=self._standstill.reason)

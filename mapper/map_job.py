@@ -66,7 +66,13 @@ class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def make_map(
-    delta: StoreDelta, recipe: Recipe, *, window_ns: int | None, now_ns: int, pins: tuple[NamedPin, ...] = ()
+    delta: StoreDelta,
+    recipe: Recipe,
+    *,
+    window_ns: int | None,
+    now_ns: int,
+    pins: tuple[NamedPin, ...] = (),
+    previous: bytes | None = None,
 ) -> MapDocuments | TooFew | OutOfStep:
     """Bring this process's copy up to date, compute the map of what counts, and put it into JSON.
 
@@ -78,11 +84,15 @@ def make_map(
         clock that is wrong, and nothing is left out for that.
     pins
         Places that the operator named.
+    previous
+        JSON of the map before: this one is laid over it, so that what stands still stands still in the picture. None: there is none.
     """
     from mapper.coverage import describe_coverage  # noqa: PLC0415  # see the module's docstring
     from mapper.interval_lists import describe_barcode, describe_diagram  # noqa: PLC0415  # same
+    from mapper.map_alignment import align_map  # noqa: PLC0415  # same
     from mapper.map_codec import encode_map  # noqa: PLC0415  # same
     from mapper.map_framing import frame_map  # noqa: PLC0415  # same
+    from mapper.map_marks import read_marks  # noqa: PLC0415  # same
     from mapper.pipeline import MIN_ENCOUNTERS, compute_map  # noqa: PLC0415  # same
 
     if not _replica.take(delta):
@@ -97,7 +107,9 @@ def make_map(
         where = "yet" if since_ns is None else "since time 0 of the mission" if since_ns == _replica.since_ns else "in the window"
         coverage = msgspec.json.encode(describe_coverage(table, spells, None, minimum=MIN_ENCOUNTERS))
         return TooFew(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=where, n_ahead=n_ahead, coverage_json=coverage)
-    result = compute_map(table, spells, recipe)
+    result, fit = compute_map(table, spells, recipe), None
+    if previous is not None:
+        result, fit = align_map(result, read_marks(previous, source="the map before"))
     n_before, last_encounter_ns = len(known) - len(table), int(table.t_end_ns.max())
     facts: JsonObject = {
         "window_s": None if window_ns is None else window_ns / _NS_PER_S,
@@ -105,6 +117,7 @@ def make_map(
         "until_s": None,
         "n_before": n_before,
         "n_ahead": n_ahead,
+        "aligned": None if fit is None else {"n_shared": fit.n_shared, "rms": fit.rms},
         "last_encounter_s": last_encounter_ns / _NS_PER_S,
     }
     return MapDocuments(

@@ -38,6 +38,8 @@ from mapper.intake import Intake
 from mapper.jobs import JobDesk
 from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
+from mapper.map_history import MapHistory
+from mapper.map_snapshot import fingerprint
 from mapper.mission_orders import MissionDesk
 from mapper.pin_board import PinBoard
 from mapper.rips_engines import name_engine
@@ -45,6 +47,7 @@ from mapper.service_checks import check_service
 from mapper.service_manager import ServiceManager
 from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store_thread import StoreThread
+from mapper.thinning import make_ladder
 from mapper.tls_files import check_tls_files
 from mapper.types import Method, MetricKind
 from mapper.watermarks import Watermarks
@@ -148,16 +151,19 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         watermarks = Watermarks(bus=bus, records=records, name=name)
         commander = Commander(bus=bus, name=name)
         desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
+        recipe, window_ns = make_recipe(config.recipe), None if serve.window_s is None else round(serve.window_s * 1e9)
+        history = _make_history(config, records=records, changes=changes, made_by=fingerprint(recipe, window_ns=window_ns))
         pins = PinBoard(records=records, changes=changes)
         await pins.restore()
         current_map = CurrentMap(
             records=records,
-            recipe=make_recipe(config.recipe),
+            history=history,
+            recipe=recipe,
             fleet=fleet,
             changes=changes,
             pins=pins,
             min_interval_s=serve.min_interval_s,
-            window_ns=None if serve.window_s is None else round(serve.window_s * 1e9),
+            window_ns=window_ns,
         )
         await current_map.restore()
         jobs = JobDesk(records=records, changes=changes, pins=pins, recipe=config.recipe, new_id=lambda: secrets.token_hex(6))
@@ -170,13 +176,15 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             }
 
         def faults() -> list[str]:
-            found = [*([] if intake.store_fault is None else [intake.store_fault]), *intake.losses.values(), *current_map.faults]
+            kept = [fault for fault in (intake.store_fault, history.fault) if fault is not None]
+            found = [*kept, *intake.losses.values(), *current_map.faults]
             return list(dict.fromkeys(found))
 
         services = Services(
             records=records,
             fleet=fleet,
             current_map=current_map,
+            history=history,
             commands=desk,
             emergency_stop=EmergencyStop(desk),
             mission=MissionDesk(bus=bus),
@@ -194,7 +202,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         server = _Server(_server_config(services, stream, serve))
         stack.enter_context(_signals_set(stopping))
         async with asyncio.TaskGroup() as group:
-            parts = (intake, desk, commander, current_map, jobs, watermarks, watch)
+            parts = (intake, desk, commander, history, current_map, jobs, watermarks, watch)
             tasks = [group.create_task(part.run(), name=type(part).__name__) for part in parts]
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
             group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")
@@ -212,6 +220,12 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
                 task.cancel()
     _log.info("mapper.stopped")
     return 0
+
+
+def _make_history(config: MapperConfig, *, records: StoreThread, changes: Changes, made_by: str) -> MapHistory:
+    kept = config.history
+    ladder = make_ladder(all_s=kept.all_s, minutes_s=kept.minutes_s, ten_minutes_s=kept.ten_minutes_s)
+    return MapHistory(records=records, changes=changes, ladder=ladder, max_bytes=round(kept.max_mb * 1e6), made_by=made_by)
 
 
 class _Server(uvicorn.Server):

@@ -12,7 +12,7 @@ from mapper.errors import StoreError
 
 APPLICATION_ID: Final = 0x42494F42
 """In the header of every file of ours: "BIOB"."""
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 
 # The steps by which a file comes to each version from the one before; an empty file takes all of them.
 _STEPS: Final = {
@@ -78,6 +78,11 @@ CREATE UNIQUE INDEX record_by_change ON record (kind, change);
     # Places that the operator named.
     4: """
 CREATE TABLE pin (name TEXT PRIMARY KEY, place TEXT NOT NULL, x REAL, y REAL);
+""",
+    # Maps of the past, and alerts with who acknowledged them.
+    5: """
+CREATE TABLE past_map (version INTEGER PRIMARY KEY, facts BLOB NOT NULL, documents BLOB NOT NULL);
+CREATE TABLE alert (id INTEGER PRIMARY KEY, body BLOB NOT NULL);
 """,
 }
 

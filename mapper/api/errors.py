@@ -11,6 +11,7 @@ from starlette.exceptions import HTTPException
 
 from mapper.api.command_schemas import STOP_PATH
 from mapper.errors import (
+    AlertNotFoundError,
     BiobotNotFoundError,
     CommandNotFoundError,
     CommandRefusedError,
@@ -19,6 +20,7 @@ from mapper.errors import (
     HoleNotFoundError,
     JobError,
     MapError,
+    MapNotFoundError,
     NoMapYetError,
     NoResultError,
     OrderRefusedError,
@@ -37,6 +39,7 @@ from mapper.errors import (
 PROBLEM_TYPE: Final = "application/problem+json"
 
 STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
+    AlertNotFoundError: HTTPStatus.NOT_FOUND,
     BiobotNotFoundError: HTTPStatus.NOT_FOUND,
     CommandNotFoundError: HTTPStatus.NOT_FOUND,
     HoleNotFoundError: HTTPStatus.NOT_FOUND,
@@ -47,6 +50,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     NoResultError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
     PeriodError: HTTPStatus.UNPROCESSABLE_ENTITY,
+    MapNotFoundError: HTTPStatus.NOT_FOUND,
     PlaceError: HTTPStatus.UNPROCESSABLE_ENTITY,
     RouteError: HTTPStatus.NOT_FOUND,
     TooManyError: HTTPStatus.TOO_MANY_REQUESTS,

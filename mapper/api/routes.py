@@ -16,6 +16,7 @@ from mapper.api.event_stream import EventStream
 from mapper.api.export_routes import add_export_routes
 from mapper.api.job_routes import add_job_routes
 from mapper.api.map_routes import add_map_routes
+from mapper.api.past_routes import add_past_routes
 from mapper.api.picture_routes import add_picture_routes
 from mapper.api.place_routes import add_place_routes
 from mapper.api.schemas import (
@@ -49,6 +50,7 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     add_job_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
+    add_past_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router
 

@@ -214,6 +214,13 @@ class ComplexView(AnswerModel):
     triangles: list[list[int]]
 
 
+class AlignedItem(AnswerModel):
+    """How a map was laid over the one before: turned, mirrored and moved, never stretched."""
+
+    n_shared: int = Field(description="Encounters and landmarks that both show, of the largest component that found its place")
+    rms: float = Field(description="Root mean square of how far these are from where they were")
+
+
 class MapBody(AnswerModel):
     """A map; lengths in ``parameters.length_unit``."""
 
@@ -245,6 +252,10 @@ class MapBody(AnswerModel):
     last_encounter_s: float
     parameters: dict[str, object]
     warnings: list[str]
+    aligned: AlignedItem | None = Field(
+        default=None,
+        description="It lies as the map before; null: there was none, or none that shares anything: the picture may have turned",
+    )
 
 
 class MapView(MapBody):

@@ -10,6 +10,7 @@ from mapper.emergency_stop import EmergencyStop
 from mapper.encounter_export import Exports
 from mapper.fleet import Fleet
 from mapper.jobs import JobDesk
+from mapper.map_history import MapHistory
 from mapper.mission_orders import MissionDesk
 from mapper.pin_board import PinBoard
 from mapper.stimulation_accounts import StimulationAccounts
@@ -32,6 +33,7 @@ class Services:
     records: StoreThread
     fleet: Fleet
     current_map: CurrentMap
+    history: MapHistory
     commands: CommandDesk
     emergency_stop: EmergencyStop
     mission: MissionDesk

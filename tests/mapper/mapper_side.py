@@ -23,12 +23,14 @@ from mapper.fleet import Fleet
 from mapper.intake import Intake
 from mapper.jobs import JobDesk
 from mapper.kernels import choose_kernels
+from mapper.map_history import MapHistory
 from mapper.mission_orders import MissionDesk
 from mapper.pin_board import PinBoard
 from mapper.rips_engines import name_engine
 from mapper.stimulation_accounts import StimulationAccounts
 from mapper.store import Store
 from mapper.store_thread import StoreThread
+from mapper.thinning import make_ladder
 from tests.mapper.fake_gateway import SITE, batch
 
 DEADLINE_S = 20.0
@@ -52,6 +54,7 @@ class Side:
     commander: Commander
     accounts: StimulationAccounts
     current_map: CurrentMap
+    history: MapHistory
     pins: PinBoard
     jobs: JobDesk
 
@@ -61,6 +64,7 @@ class Side:
             records=self.records,
             fleet=self.fleet,
             current_map=self.current_map,
+            history=self.history,
             commands=self.desk,
             emergency_stop=EmergencyStop(self.desk),
             mission=MissionDesk(bus=self.bus),
@@ -112,7 +116,16 @@ async def mapper_side(
     desk = CommandDesk(bus=bus, fleet=fleet, log=log, commander=commander)
     pins = PinBoard(records=records, changes=changes)
     await pins.restore()
+    history = MapHistory(
+        records=records,
+        changes=changes,
+        ladder=make_ladder(all_s=300, minutes_s=7200, ten_minutes_s=86_400),
+        max_bytes=100_000_000,
+        made_by="test",
+        clock=clock,
+    )
     current_map = CurrentMap(
+        history=history,
         records=records,
         recipe=make_recipe(recipe or RecipeConfig()),
         fleet=fleet,
@@ -128,7 +141,7 @@ async def mapper_side(
     )
     if with_map:
         await current_map.restore()
-    runs = [intake.run(), desk.run(), commander.run(), jobs.run(), *([current_map.run()] if with_map else [])]
+    runs = [intake.run(), desk.run(), commander.run(), jobs.run(), *([current_map.run(), history.run()] if with_map else [])]
     tasks = [asyncio.create_task(run) for run in runs]
     await asyncio.sleep(0)
     try:
@@ -142,6 +155,7 @@ async def mapper_side(
             commander=commander,
             accounts=accounts,
             current_map=current_map,
+            history=history,
             pins=pins,
             jobs=jobs,
         )

@@ -24,9 +24,12 @@ from tests.mapper.ring import ring_records
 from tests.mapper.web_side import BASE, check_against, client_of, meet, openapi_of
 
 HUGE = 2**64 - 1
-UNKNOWN = {"command_id": "unknown", "biobot": 77, "number": 77}
+UNKNOWN = {"command_id": "unknown", "biobot": 77, "number": 77, "version": 77}
 """What stands for the parameters of paths: nothing of that name is there."""
-KNOWN = {"command_id": "one", "biobot": HUGE, "number": 1}
+_PLACES = {"from": "landmark:1001", "to": "landmark:1005"}
+ASKED = {"/api/v1/route": _PLACES, "/api/v1/distance": _PLACES, "/api/v1/maps/{version}/difference": {"since": "1"}}
+"""What must be asked along."""
+KNOWN = {"command_id": "one", "biobot": HUGE, "number": 1, "version": 1}
 
 
 def run(story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]], *, with_map: bool = False) -> None:
@@ -54,7 +57,7 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         gateway.journal_records([*records, phase, encounter(last + 2, nodes=(1, HUGE), is_void=True)])
         await meet(side, gateway, HUGE)
         gateway.publish_account(account(HUGE))
-        await until(lambda: side.current_map.latest is not None and bool(side.accounts.all()))
+        await until(lambda: bool(side.history.page()[0]) and bool(side.accounts.all()))
         done = await client.post("/api/v1/commands", json={"biobot": str(HUGE), "action": "stop", "operator": "anna", "id": "one"})
         assert done.status_code == HTTPStatus.OK
         check_against(document, "/api/v1/commands", done, method="post")
@@ -62,7 +65,7 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         ordered = await client.post("/api/v1/mission/orders", json={"action": "start", "operator": "anna"})
         check_against(document, "/api/v1/mission/orders", ordered, method="post")
         for path in gets:
-            asked = {"from": "landmark:1001", "to": "landmark:1005"} if path in {"/api/v1/route", "/api/v1/distance"} else {}
+            asked = ASKED.get(path, {})
             answer = await client.get(path.format(**KNOWN), params=asked)
             assert answer.status_code == HTTPStatus.OK, path
             check_against(document, path, answer)

@@ -14,6 +14,7 @@ import pytest
 
 from firmware_protocol.contract.records import EncounterRecord
 from mapper.__main__ import main
+from mapper.changes import Topic
 from mapper.rips_engines import name_engine
 from tests.mapper.fake_gateway import FakeGateway, encounter, free_port
 from tests.mapper.ring import ring_records
@@ -128,7 +129,7 @@ def test_event_streams_tell_of_changes_and_do_not_hold_up_the_stop(tmp_path: Pat
         with httpx.stream("GET", url + "api/v1/events", timeout=DEADLINE_S) as stream:
             lines = stream.iter_lines()
             first = next(json.loads(line[6:]) for line in lines if line.startswith("data: "))
-            assert set(first) == {"records", "map", "biobots", "commands", "mission"}
+            assert set(first) == {str(topic) for topic in Topic}
             gateway.journal_records([encounter(1), encounter(2)])
             gateway.publish([encounter(1), encounter(2)])
             seen = next(
