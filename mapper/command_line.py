@@ -1,13 +1,13 @@
 """Commands of the mapper, their flags and outputs.
 
 ``run`` maps a file, ``route`` finds ways around its obstacles, ``merge`` maps several as one, ``serve`` keeps a map up to date,
-``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need, ``config`` prints what a configuration file may say.
+``tokens`` says who may command, ``feasibility`` foretells what a map will show, ``warm-up`` sees to what they need, ``config`` prints what
+a configuration file may say.
 """
 
 import argparse
 import json
 import os
-import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from firmware_protocol.errors import ConfigurationError
 from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
 from mapper.errors import MapError, OutOfMemoryError, TooFewEncountersError
+from mapper.flag_values import join_negative_numbers, read_id_list, read_number_of_classes, read_seconds
 from mapper.output_files import STANDARD, check_outputs, is_standard_output, write_output
 from mapper.reading_flags import add_reading_arguments, reading_options
 from mapper.types import MapResult, Method, MetricKind
@@ -26,11 +27,6 @@ from mapper.types import MapResult, Method, MetricKind
 if TYPE_CHECKING:
     from mapper.pins import Pinned
 
-_MAX_ID = 2**63 - 1
-MAX_CLASSES = 16
-"""As `mapper.routes` has it, which takes numpy to import."""
-_MAX_SHIFT_S = 4e9  # as times of the files
-_NEGATIVE = re.compile(r"-([0-9]+\.?[0-9]*|\.[0-9]+)[eE][+-]?[0-9]+|-(inf|infinity|nan)", re.ASCII | re.IGNORECASE)
 _EXIT_FAILED, _EXIT_USAGE = 1, 2
 _TITLE = (
     "Configuration of biobot-mapper: every key with its default. Variables such as BIOBOT_MAPPER__SERVE__PORT win over this file, flags "
@@ -41,7 +37,7 @@ _TITLE = (
 def run_command_line(given: Sequence[str]) -> int:
     """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
     parser = _make_parser(given)
-    args = parser.parse_args(_join_negative_numbers(given))
+    args = parser.parse_args(join_negative_numbers(given))
     try:
         status = _dispatch(args, parser)
         sys.stdout.flush()
@@ -72,11 +68,12 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         "feasibility": lambda: _foretell(args),
         "warm-up": lambda: _warm_up(args),
         "config": lambda: _print_config(args),
+        "tokens": lambda: _tokens(args, parser),
     }
     if args.command in commands:
         return commands[args.command]()
     parser.print_usage(sys.stderr)
-    return _complain(["give a command: run, route, merge, serve, feasibility, warm-up or config"], status=_EXIT_USAGE)
+    return _complain(["give a command: run, route, merge, serve, tokens, feasibility, warm-up or config"], status=_EXIT_USAGE)
 
 
 def _check_configuration(args: argparse.Namespace) -> int:
@@ -211,6 +208,12 @@ def _warm_up(args: argparse.Namespace) -> int:
     return 0
 
 
+def _tokens(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
+    from mapper.access.command import tokens  # noqa: PLC0415  # see _run
+
+    return tokens(args, parser)
+
+
 def _print_config(args: argparse.Namespace) -> int:
     from msgspec.json import schema  # noqa: PLC0415  # for this command alone
 
@@ -253,7 +256,7 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
     parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
-    commands = parser.add_subparsers(dest="command", metavar="{run,route,merge,serve,feasibility,warm-up,config}")
+    commands = parser.add_subparsers(dest="command", metavar="{run,route,merge,serve,tokens,feasibility,warm-up,config}")
     about = "Make a map of a log of contacts."
     run = commands.add_parser("run", help="make a map of a log of contacts", usage="%(prog)s FILE [options]", description=about)
     _add_common(run, default=argparse.SUPPRESS)
@@ -274,6 +277,13 @@ def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
         from mapper.service import add_arguments  # noqa: PLC0415  # zenoh and the web server are for `serve` alone
 
         add_arguments(serve)
+    about = "Make, list and revoke the tokens by which persons may look at the live map and command."
+    tokens = commands.add_parser("tokens", help="say who may look and command", description=about)
+    _add_common(tokens, default=argparse.SUPPRESS)
+    if "tokens" in given:
+        from mapper.access.command import add_arguments as add_token_arguments  # noqa: PLC0415  # see _run
+
+        add_token_arguments(tokens)
     about = "Say how many encounters a plan gives, what obstacles a map will show and when, and what to change."
     feasibility = commands.add_parser("feasibility", help="say what a map will show, before anybody walks", description=about)
     _add_common(feasibility, default=argparse.SUPPRESS)
@@ -322,8 +332,8 @@ def _add_merge_arguments(merge: argparse.ArgumentParser) -> None:
     merge.add_argument(
         "--modes", type=Path, action="append", default=[], metavar="FILE", help="CSV of modes; once for each CSV of encounters, in order"
     )
-    merge.add_argument("--shift-s", type=_seconds, metavar="S,S", help="add to the times of each recording, in order: clocks that differ")
-    merge.add_argument("--stationary", type=_ids, metavar="ID,ID", help="biobots that stood still all the time")
+    merge.add_argument("--shift-s", type=read_seconds, metavar="S,S", help="add to the times of each recording: clocks that differ")
+    merge.add_argument("--stationary", type=read_id_list, metavar="ID,ID", help="biobots that stood still all the time")
     _add_map_arguments(merge)
 
 
@@ -341,7 +351,9 @@ def _add_route_arguments(route: argparse.ArgumentParser) -> None:
     forms = "landmark:ID[@T], biobot:ID@T, point:INDEX, or xy:X,Y[,COMPONENT]; T in seconds"
     route.add_argument("--from", dest="begin", metavar="PLACE", help=forms)
     route.add_argument("--to", dest="end", metavar="PLACE", help="as --from")
-    route.add_argument("--classes", type=_classes, default=3, metavar="K", help="routes of so many kinds at most (default: %(default)s)")
+    route.add_argument(
+        "--classes", type=read_number_of_classes, default=3, metavar="K", help="routes of so many kinds (default: %(default)s)"
+    )
     route.add_argument("--json", type=Path, nargs="?", const=STANDARD, metavar="FILE", help="write JSON; without FILE to standard output")
     route.add_argument("--modes", type=Path, metavar="FILE", help="CSV with the columns t_start_s,t_end_s,id,mode,cause")
     add_reading_arguments(route)
@@ -355,43 +367,8 @@ def _add_recipe_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--metric", choices=metrics, help="how encounters are compared (default: by the method)")
 
 
-def _join_negative_numbers(given: Sequence[str]) -> list[str]:
-    """Write ``--flag -1e2`` as ``--flag=-1e2``: argparse takes a negative number with an exponent for a flag of its own."""
-    joined: list[str] = []
-    for part in given:
-        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and _NEGATIVE.fullmatch(part):
-            joined[-1] += f"={part}"
-        else:
-            joined.append(part)
-    return joined
-
-
 def _recipe_flags(args: argparse.Namespace) -> dict[str, object]:
     return {f"recipe.{name}": getattr(args, name, None) for name in ("method", "metric", "speed_mps")}
-
-
-def _classes(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MAX_CLASSES):
-        raise argparse.ArgumentTypeError(f"{text!r}; wanted a whole number from 1 to {MAX_CLASSES}")
-    return int(text)
-
-
-def _ids(text: str) -> tuple[int, ...]:
-    parts = [part.strip() for part in text.split(",")]
-    wrong = [part for part in parts if not (part.isascii() and part.isdigit() and len(part) <= len(str(_MAX_ID)) and int(part) <= _MAX_ID)]
-    if wrong:
-        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is no id; wanted whole numbers from 0 to 2^63-1, as 3,17,20")
-    return tuple(int(part) for part in parts)
-
-
-def _seconds(text: str) -> tuple[float, ...]:
-    try:
-        found = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        found = ()
-    if not found or not all(abs(one) <= _MAX_SHIFT_S for one in found):
-        raise argparse.ArgumentTypeError(f"{text!r}; wanted seconds for each input, at most {_MAX_SHIFT_S:g} either way, as 0,-12.5")
-    return found
 
 
 def _complain(lines: Sequence[str], *, status: int) -> int:

@@ -140,7 +140,13 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     host, port
         Address of the page; port 0 takes a free one.
     allow_remote
-        Let other machines in, which a host other than a loopback address needs: there are no users and passwords yet.
+        Let other machines in, which a host other than a loopback address needs. Whoever reads then needs a token too.
+    anonymous_reading
+        Whoever is on this machine may look without a token; to command always needs one.
+    tokens
+        The file of tokens (biobot-mapper tokens); without it, mapper-tokens.json beside the store, or in the working directory.
+    certificate, key
+        PEM files of the page's own certificate, its chain with it, and of the key to it: the page is then served by https alone.
     min_interval_s
         A new map is begun no earlier than this after the one before.
     window_s
@@ -157,6 +163,10 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     host: str = "127.0.0.1"
     port: Annotated[int, Meta(ge=0, le=65_535)] = 8080
     allow_remote: bool = False
+    anonymous_reading: bool = True
+    tokens: str | None = None
+    certificate: str | None = None
+    key: str | None = None
     min_interval_s: Annotated[float, Meta(ge=0.05, le=3600)] = 1.0
     window_s: Annotated[float, Meta(ge=0.001, le=MAX_WINDOW_S)] | None = None
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
@@ -171,6 +181,23 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
                 check_name(self.name, what="mapper")
         except KeyExpressionError as error:
             raise ValueError(str(error)) from error
+
+
+class LimitsConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How often the holder of a token may ask; beyond that the answer is 429. Stops have no limit, nor has reading on this machine.
+
+    Keys
+    ----
+    reads_per_s, reads_burst
+        Requests that change nothing: so many a second in the long run, and so many at once.
+    writes_per_s, writes_burst
+        The same of those that change something.
+    """
+
+    reads_per_s: Annotated[float, Meta(ge=1, le=1e6)] = 50.0
+    reads_burst: Annotated[float, Meta(ge=1, le=1e6)] = 500.0
+    writes_per_s: Annotated[float, Meta(ge=0.1, le=1e6)] = 10.0
+    writes_burst: Annotated[float, Meta(ge=1, le=1e6)] = 100.0
 
 
 class HistoryConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -206,12 +233,13 @@ class MapperConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     Keys
     ----
-    recipe, serve, history, tls, zenoh
+    recipe, serve, history, limits, tls, zenoh
         Tables of their own.
     """
 
     recipe: RecipeConfig = RecipeConfig()
     serve: ServiceConfig = ServiceConfig()
+    limits: LimitsConfig = LimitsConfig()
     history: HistoryConfig = HistoryConfig()
     tls: TlsTable = TlsTable()
     zenoh: ZenohTable = ZenohTable()
@@ -256,6 +284,13 @@ def load_mapper_config(
         flags=flags,
         check=check,
     )
+
+
+def tokens_path(serve: ServiceConfig) -> Path:
+    """Return the file of tokens."""
+    if serve.tokens is not None:
+        return Path(serve.tokens)
+    return (Path() if serve.store is None else Path(serve.store).parent) / "mapper-tokens.json"
 
 
 def make_recipe(config: RecipeConfig) -> Recipe:

@@ -37,6 +37,8 @@ MapError
 ├── PeriodError            a time was asked for that ends before it begins
 ├── NoResultError          a job has no result, or none yet
 └── TooManyError           a limit on what runs at the same time is reached: ask again later
+
+Those of access are in `mapper.access.errors`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -19,6 +19,7 @@ import uvicorn
 from firmware_protocol.contract.access import parse_identity
 from firmware_protocol.contract.handshakes import CertificateFacts
 from firmware_protocol.errors import ConfigurationError
+from mapper.access import Access, Rate, RateLimits, TokenRegister, open_register
 from mapper.api.app import create_app
 from mapper.api.event_stream import EventStream
 from mapper.api.services import Engines, Services
@@ -27,7 +28,7 @@ from mapper.changes import Changes
 from mapper.command_log import CommandLog
 from mapper.commander import Commander
 from mapper.commands import CommandDesk
-from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
+from mapper.config import LimitsConfig, MapperConfig, ServiceConfig, load_mapper_config, make_recipe, tokens_path
 from mapper.connection import ConnectionWatch
 from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
@@ -54,7 +55,10 @@ from mapper.watermarks import Watermarks
 
 _log = EventLog(__name__)
 
-_FLAGS = ("site", "name", "connect", "listen", "store", "host", "port", "allow_remote", "min_interval_s", "window_s", "log_level")
+_FLAGS = (
+    "site", "name", "connect", "listen", "store", "host", "port", "allow_remote", "tokens", "min_interval_s",
+    "window_s", "log_level",
+)  # fmt: skip
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 _GRACEFUL_S = 5
 _SWITCH_S = 0.0005
@@ -73,9 +77,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--store", metavar="FILE", help="keep records in this file (default: in memory, filled again from the gateways)")
     parser.add_argument("--host", help="address of the page (default: 127.0.0.1)")
     parser.add_argument("--port", type=int, help="its port; 0 takes a free one (default: 8080)")
-    parser.add_argument(
-        "--allow-remote", action="store_const", const=True, help="let other machines in: whoever reaches the port may command"
-    )
+    parser.add_argument("--allow-remote", action="store_const", const=True, help="let other machines in; to look then needs a token too")
+    parser.add_argument("--tokens", metavar="FILE", help="who may command (default: mapper-tokens.json beside the store)")
+    parser.add_argument("--token-file", type=Path, metavar="FILE", help="write the first token there when there is none yet")
     parser.add_argument("--url-file", type=Path, metavar="FILE", help="write the page's URL there when it is up")
     parser.add_argument("--min-interval-s", type=float, metavar="S", help="shortest time from one map to the next (default: 1)")
     parser.add_argument(
@@ -102,7 +106,7 @@ def main(args: argparse.Namespace) -> int:
     set_up_logging(level=config.serve.log_level)
     sys.setswitchinterval(_SWITCH_S)
     try:
-        return asyncio.run(_serve(config, url_file=args.url_file, facts=facts))
+        return asyncio.run(_serve(config, url_file=args.url_file, token_file=args.token_file, facts=facts))
     except ExceptionGroup as group:
         known = group.subgroup(MapError)
         if known is None:
@@ -129,8 +133,8 @@ def _flags(args: argparse.Namespace) -> dict[str, object]:
     return flags | {f"recipe.{name}": getattr(args, name) for name in ("method", "metric", "speed_mps")}
 
 
-async def _serve(config: MapperConfig, *, url_file: Path | None, facts: CertificateFacts | None) -> int:
-    """Start address, store, bus, tasks, in this order; stop in reverse."""
+async def _serve(config: MapperConfig, *, url_file: Path | None, token_file: Path | None, facts: CertificateFacts | None) -> int:
+    """Start address, store, tokens, bus, tasks, in this order; stop in reverse."""
     serve = config.serve
     stopping = asyncio.Event()
     engines = _name_engines()
@@ -139,6 +143,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         listener = stack.enter_context(contextlib.closing(_listen(serve)))
         records = await StoreThread.open(Path(serve.store) if serve.store is not None else None)
         stack.push_async_callback(records.aclose)
+        register = open_register(tokens_path(serve), token_file=token_file)
         certified = None if facts is None else parse_identity(facts.common_name).name
         name = serve.name or certified or records.name or f"mapper-{secrets.token_hex(4)}"
         bus = await Bus.open(site=serve.site, connect=serve.connect, listen=serve.listen, tls=config.tls, timing=config.zenoh, name=name)
@@ -168,15 +173,18 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         await current_map.restore()
         jobs = JobDesk(records=records, changes=changes, pins=pins, recipe=config.recipe, new_id=lambda: secrets.token_hex(6))
 
+        access = _make_access(register, config)
+
         def counters() -> Mapping[str, int]:
             return {
                 **intake.counters,
                 **{f"bus_{name}": number for name, number in bus.counters.items()},
                 "ignored": fleet.n_ignored + accounts.n_ignored,
+                **access.refused,
             }
 
         def faults() -> list[str]:
-            kept = [fault for fault in (intake.store_fault, history.fault) if fault is not None]
+            kept = [fault for fault in (intake.store_fault, history.fault, register.fault) if fault is not None]
             found = [*kept, *intake.losses.values(), *current_map.faults]
             return list(dict.fromkeys(found))
 
@@ -189,6 +197,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
             emergency_stop=EmergencyStop(desk),
             mission=MissionDesk(bus=bus),
             accounts=accounts,
+            access=access,
             pins=pins,
             jobs=jobs,
             exports=Exports(records),
@@ -200,9 +209,13 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, facts: Certific
         )
         stream = EventStream(changes)
         server = _Server(_server_config(services, stream, serve))
+        if serve.allow_remote and serve.certificate is None:
+            _log.warning(
+                "access.readable", reason="tokens cross the network as plain text", next_step="give serve.certificate and serve.key"
+            )
         stack.enter_context(_signals_set(stopping))
         async with asyncio.TaskGroup() as group:
-            parts = (intake, desk, commander, history, current_map, jobs, watermarks, watch)
+            parts = (intake, desk, commander, history, current_map, jobs, watermarks, watch, register)
             tasks = [group.create_task(part.run(), name=type(part).__name__) for part in parts]
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
             group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")
@@ -257,10 +270,26 @@ def _name_engines() -> Engines:
     return Engines(kernels=kernels.name, persistence=persistence)
 
 
+def _make_access(register: TokenRegister, config: MapperConfig) -> Access:
+    limits: LimitsConfig = config.limits
+    return Access(
+        register=register,
+        limits=RateLimits(
+            reads=Rate(per_s=limits.reads_per_s, burst=limits.reads_burst),
+            writes=Rate(per_s=limits.writes_per_s, burst=limits.writes_burst),
+        ),
+        allows_anonymous_reading=config.serve.anonymous_reading and not config.serve.allow_remote,
+    )
+
+
 def _server_config(services: Services, stream: EventStream, serve: ServiceConfig) -> uvicorn.Config:
     allowed = None if serve.allow_remote else {*_LOOPBACK_NAMES, serve.host}
     return uvicorn.Config(
-        create_app(services, stream=stream, allowed_hosts=allowed),
+        create_app(services, stream=stream, allowed_hosts=allowed, is_tls=serve.certificate is not None),
+        # Who asks is known by the connection alone: what a header says of it, anybody may have written.
+        proxy_headers=False,
+        ssl_certfile=serve.certificate,
+        ssl_keyfile=serve.key,
         log_config=None,
         log_level="warning",
         access_log=False,
@@ -277,10 +306,17 @@ async def _announce(
     await server.is_up.wait()
     gc.collect()
     gc.freeze()  # what was imported is searched for cycles no more: no stop goes out meanwhile
-    url = _url(listener)
+    url = _url(listener, scheme="http" if serve.certificate is None else "https")
     manager.tell(f"map and operator page: {url}")
     manager.ready()
-    _log.info("mapper.up", url=url, site=serve.site, connect=",".join(serve.connect), store=serve.store or "memory")
+    _log.info(
+        "mapper.up",
+        url=url,
+        site=serve.site,
+        connect=",".join(serve.connect),
+        store=serve.store or "memory",
+        tokens=str(tokens_path(serve)),
+    )
     print(f"map and operator page: {url}", file=sys.stderr, flush=True)  # noqa: T201  # a person wants to see it among the logs
     if url_file is not None:
         try:
@@ -302,8 +338,8 @@ def _listen(serve: ServiceConfig) -> socket.socket:
     if not serve.allow_remote and not ipaddress.ip_address(target[0]).is_loopback:
         raise ListenError(
             address=address,
-            reason="other machines could reach it, and there are no users and passwords yet",
-            next_step="leave --host at 127.0.0.1, or accept with --allow-remote that whoever reaches the port may command",
+            reason="other machines could reach it",
+            next_step="leave --host at 127.0.0.1, or let them in with --allow-remote: who looks or commands then needs a token",
         )
     # Named as TCP, so that connections get TCP_NODELAY: otherwise each answer of two packets waits 40 ms for an acknowledgement.
     listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -320,10 +356,10 @@ def _listen(serve: ServiceConfig) -> socket.socket:
     return listener
 
 
-def _url(listener: socket.socket) -> str:
+def _url(listener: socket.socket, *, scheme: str) -> str:
     host, port = listener.getsockname()[:2]
     shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  # this is the address that is replaced
-    return f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
+    return f"{scheme}://[{shown}]:{port}/" if ":" in shown else f"{scheme}://{shown}:{port}/"
 
 
 @contextlib.contextmanager

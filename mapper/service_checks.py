@@ -6,8 +6,10 @@ from pathlib import Path
 
 from firmware_protocol.configuration import Unfit
 from firmware_protocol.contract.sessions import endpoint_problem
-from mapper.config import MapperConfig
+from mapper.access import TokenFileError, read_tokens
+from mapper.config import MapperConfig, tokens_path
 from mapper.errors import StoreError
+from mapper.page_tls import check_page_tls
 from mapper.store_file import expect_fit_file
 from mapper.tls_files import check_tls_files
 
@@ -20,8 +22,19 @@ def check_service(config: MapperConfig, *, tries_places: bool = False) -> Iterat
             if reason := endpoint_problem(endpoint, listens=key == "listen"):
                 yield Unfit(keys=(f"serve.{key}",), reason=f"serve.{key}: {reason}")
     yield from check_tls_files(config)[0]
+    yield from check_page_tls(serve)
+    if tries_places and (why := _why_no_tokens(tokens_path(serve))):
+        yield Unfit(keys=("serve.tokens",), reason=f"serve.tokens: {why}")
     if tries_places and serve.store is not None and (why := _why_no_store(Path(serve.store))):
         yield Unfit(keys=("serve.store",), reason=f"serve.store: {why}")
+
+
+def _why_no_tokens(path: Path) -> str:
+    try:
+        read_tokens(path)
+    except TokenFileError as error:
+        return str(error)
+    return ""
 
 
 def _why_no_store(path: Path) -> str:

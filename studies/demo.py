@@ -80,6 +80,7 @@ def _parser() -> argparse.ArgumentParser:
 def _run(system: RunningSystem, *, keep_open: bool) -> int:
     settings = system.settings
     print(f"live page  {system.url}/")
+    print(f"to command sign in there with {system.token}")
     print(f"insects    {settings.n_biobots} in {settings.scenario}, {settings.speed:g} times faster than life, seed {settings.seed}")
     _follow(system)
     document, records = _settle(system)

@@ -47,7 +47,7 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
             "pcap",
         ),
     ),
-    "biobot-mapper": ("mapper", ("run", "merge", "serve", "feasibility", "warm-up", "config")),
+    "biobot-mapper": ("mapper", ("run", "merge", "serve", "tokens", "feasibility", "warm-up", "config")),
 }
 CONFIGURATIONS: dict[str, type[msgspec.Struct]] = {
     "biobot-sim run": RunConfig,

@@ -64,8 +64,9 @@ class ZenohAsker:
 class RestAsker:
     """See the module; each request has a connection of its own, and making it is part of what is measured."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, *, token: str) -> None:
         self._place = urlsplit(url)
+        self._headers = {"Content-Type": "application/json", "Authorization": f"Bearer {token}"}
 
     def ask(self, node: int, action: StimulationAction) -> Answered:
         """Ask in a thread, and return at once."""
@@ -74,10 +75,10 @@ class RestAsker:
         return answered
 
     def _ask(self, node: int, action: StimulationAction, answered: Answered) -> None:
-        body = json.dumps({"biobot": node, "action": action.value, "operator": _OPERATOR})
+        body = json.dumps({"biobot": node, "action": action.value})
         connection = http.client.HTTPConnection(self._place.hostname or "", self._place.port, timeout=_TIMEOUT_S)
         try:
-            connection.request("POST", "/api/v1/commands", body=body, headers={"Content-Type": "application/json"})
+            connection.request("POST", "/api/v1/commands", body=body, headers=self._headers)
             connection.getresponse().read()
             answered.first_ns = time.monotonic_ns()
         except (OSError, http.client.HTTPException):

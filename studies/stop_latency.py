@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from firmware_protocol.contract.commands import StimulationAction
+from mapper.access import Role, add_token
 from studies.bench_gateway import Part
 from studies.stop_asking import RestAsker, ZenohAsker
 from studies.stop_frames import Stop, StopFrames
@@ -93,13 +94,16 @@ def _measure(options: argparse.Namespace, out: Path) -> tuple[list[Stop], StopFr
             "0",
             "--url-file",
             str(url_file),
+            "--tokens",
+            str(out / "tokens.json"),
         ]
+        token = add_token(out / "tokens.json", name="bench", role=Role.OPERATOR).text
         stack.enter_context(Part(name="mapper", arguments=serve, log=out / "mapper.log"))
         swarm.hear()
         _wait(url_file.exists, what="the mapper", log=out / "mapper.log")
         frames = stack.enter_context(StopFrames(swarm, lines=[f"{line} {port}" for line, port in zip(LINES, ports, strict=True)]))
         zenoh = stack.enter_context(ZenohAsker(endpoint))
-        rest = RestAsker(url_file.read_text().strip())
+        rest = RestAsker(url_file.read_text().strip(), token=token)
         swarm.tell("go")
         _say(f"load for {options.warm_up:g} s, load average {os.getloadavg()[0]:.1f}")
         time.sleep(options.warm_up)

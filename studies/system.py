@@ -13,9 +13,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Final, Self, TypeVar
+
+from mapper.access import Role, add_token
 
 _ValueT = TypeVar("_ValueT")
+
+OPERATOR: Final = "operator"
+"""Whose token it is."""
 
 _POLL_S = 0.1
 _STOP_TIMEOUT_S = 15.0
@@ -53,6 +58,8 @@ class RunningSystem:
 
     settings: SystemSettings
     url: str = ""
+    token: str = ""
+    """That of an operator."""
     bus_endpoint: str = ""
     radio: str = ""
     """What the gateway opens to reach the simulator's dongle."""
@@ -98,16 +105,15 @@ class RunningSystem:
 
     def get(self, path: str) -> Any:
         """Return the JSON that the mapper answers to a GET of ``path``."""
-        return self._request(urllib.request.Request(self.url + path))
+        return self._request(self._asking(path))
 
     def post(self, path: str, body: Mapping[str, object]) -> Any:
         """Return the JSON that the mapper answers to a POST of ``body``."""
-        headers = {"Content-Type": "application/json"}
-        return self._request(urllib.request.Request(self.url + path, data=json.dumps(body).encode(), headers=headers, method="POST"))
+        return self._request(self._asking(path, body=body))
 
     def download(self, path: str) -> bytes:
         """Return the bytes behind ``path``."""
-        with urllib.request.urlopen(self.url + path, timeout=60) as answer:
+        with urllib.request.urlopen(self._asking(path), timeout=60) as answer:
             content: bytes = answer.read()
         return content
 
@@ -170,15 +176,24 @@ class RunningSystem:
     def start_mapper(self) -> None:
         """Start the mapper, for the first time or again, and wait until it serves."""
         settings = self.settings
-        url_file = settings.out / "mapper.url"
+        url_file, tokens = settings.out / "mapper.url", settings.out / "tokens.json"
         url_file.unlink(missing_ok=True)
+        if not self.token:
+            self.token = add_token(tokens, name=OPERATOR, role=Role.OPERATOR).text
         self.start_process("mapper", [
             "mapper", "serve", "--connect", self.bus_endpoint, "--store", str(settings.out / "mapper.sqlite"),
-            "--port", str(settings.http_port), "--url-file", str(url_file), *settings.mapper_args,
+            "--port", str(settings.http_port), "--url-file", str(url_file), "--tokens", str(tokens), *settings.mapper_args,
         ])  # fmt: skip
         self.url = self.wait_for(
             lambda: url_file.read_text().strip() if url_file.exists() else None, what="mapper ready", timeout_s=60
         ).rstrip("/")
+
+    def _asking(self, path: str, *, body: Mapping[str, object] | None = None) -> urllib.request.Request:
+        headers = {"Authorization": f"Bearer {self.token}"}
+        if body is None:
+            return urllib.request.Request(self.url + path, headers=headers)
+        headers["Content-Type"] = "application/json"
+        return urllib.request.Request(self.url + path, data=json.dumps(body).encode(), headers=headers, method="POST")
 
     def _request(self, request: urllib.request.Request) -> Any:
         with urllib.request.urlopen(request, timeout=60) as answer:

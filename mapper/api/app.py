@@ -9,6 +9,7 @@ from fastapi import FastAPI
 from fastapi.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 
+from mapper.api.door import Door
 from mapper.api.errors import add_error_handlers
 from mapper.api.event_stream import EventStream
 from mapper.api.guards import Guard
@@ -17,12 +18,14 @@ from mapper.api.packing import Packing
 from mapper.api.quick_answers import QuickAnswers
 from mapper.api.routes import make_router
 from mapper.api.schemas import Problem
+from mapper.api.security import describe_access
 from mapper.api.services import Services
 
 _ABOUT = """From encounters between walking biobots to a map of the space they walked.
 
 Instants are nanoseconds on the wall clock; lengths have the map's `parameters.length_unit`. Errors are
-`application/problem+json`. Maps have an `ETag`. There are no users: the service listens on loopback unless told otherwise.
+`application/problem+json`. Maps have an `ETag`. Each person has a token, shown as `Authorization: Bearer biobot_...` and never in a
+URL; `GET /api/v1/me` says whose it is. The service listens on loopback unless told otherwise.
 """
 
 _TAGS: Final = [
@@ -34,18 +37,20 @@ _TAGS: Final = [
     {"name": "biobots", "description": "Biobots and gateways"},
     {"name": "commands", "description": "Commands and stops"},
     {"name": "mission", "description": "The mission and orders to it"},
+    {"name": "access", "description": "Who one is here, and who has tokens"},
     {"name": "watch", "description": "Changes, health, readiness"},
 ]
 
 
-def create_app(services: Services, *, stream: EventStream, allowed_hosts: Collection[str] | None) -> Guard:
-    """Make the application; ``allowed_hosts`` as in `Guard`."""
+def create_app(services: Services, *, stream: EventStream, allowed_hosts: Collection[str] | None, is_tls: bool = False) -> Guard:
+    """Make the application; ``allowed_hosts`` and ``is_tls`` as in `Guard`."""
     app = Packing(create_unguarded_app(services, stream=stream))
-    return Guard(QuickAnswers(app, quick_answers(services)), allowed_hosts=allowed_hosts)
+    door = Door(QuickAnswers(app, quick_answers(services)), access=services.access)
+    return Guard(door, allowed_hosts=allowed_hosts, is_tls=is_tls)
 
 
 def create_unguarded_app(services: Services, *, stream: EventStream) -> FastAPI:
-    """Make the application without its outermost layer, for its OpenAPI document."""
+    """Make the application without its outer layers, for its OpenAPI document."""
     # The usual documentation pages load scripts from elsewhere; operators have no internet.
     app = FastAPI(
         title="biobot mapper",
@@ -68,12 +73,13 @@ def create_unguarded_app(services: Services, *, stream: EventStream) -> FastAPI:
         return FileResponse(str(web / "index.html"))
 
     app.mount("/static", StaticFiles(directory=str(web)), name="static")
-    _describe_problems(app)
+    _complete_description(app, services)
     return app
 
 
-def _describe_problems(app: FastAPI) -> None:
-    """Put the schema of errors into the OpenAPI document: answers refer to it by name only."""
+def _complete_description(app: FastAPI, services: Services) -> None:
+    """Put what no endpoint says by itself into the OpenAPI document: whom it is for, and the schema of errors."""
     document = app.openapi()
     document.setdefault("components", {}).setdefault("schemas", {})[Problem.__name__] = Problem.model_json_schema()
+    describe_access(document, allows_anonymous_reading=services.access.allows_anonymous_reading)
     app.openapi_schema = document

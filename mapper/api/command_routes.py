@@ -13,6 +13,7 @@ from fastapi.routing import APIRoute
 
 from firmware_protocol.contract.commands import PulseRequest, Refusal, StimulationAction, WaveformName
 from firmware_protocol.units import EVERYBODY, NodeId
+from mapper.access import person_of
 from mapper.api.command_schemas import (
     MAX_WAIT_S,
     STOP_PATH,
@@ -34,7 +35,7 @@ from mapper.api.schemas import NodeText
 from mapper.api.services import Services
 from mapper.api.views import json_response
 from mapper.command_log import Command, Outcome, has_ended
-from mapper.commands import Wish
+from mapper.commands import STOPS, Wish
 from mapper.errors import BiobotNotFoundError, CommandRefusedError, GatewayAwayError, StopUnansweredError
 from mapper.store import Store
 
@@ -105,7 +106,7 @@ def _add_stop(router: APIRouter, services: Services) -> None:
             examples={HTTPStatus.SERVICE_UNAVAILABLE: _UNANSWERED_EXAMPLE},
         ),
     )
-    async def post_stop(body: StopBody | None = None) -> Response:
+    async def post_stop(request: Request, body: StopBody | None = None) -> Response:
         """Stop all biobots at every gateway of the site, or some, at once. Nothing need be sent along; repeat it as often as you like.
 
         It is on its way before the request is answered, whatever else waits or fails. 503 names gateways that told nothing of it, or says
@@ -113,7 +114,7 @@ def _add_stop(router: APIRouter, services: Services) -> None:
         """
         wanted = body or StopBody()
         biobots = None if wanted.biobots is None else tuple(dict.fromkeys(NodeId(int(biobot)) for biobot in wanted.biobots))
-        stop = services.emergency_stop.stop(operator=wanted.operator, biobots=biobots, stop_id=wanted.id)
+        stop = services.emergency_stop.stop(operator=person_of(request).name, biobots=biobots, stop_id=wanted.id)
         await services.emergency_stop.wait(stop, wait_s=wanted.wait_s)
         is_unheard = any(command.is_unheard for command in stop.commands)
         if is_unheard or (stop.silent and wanted.wait_s != 0):
@@ -138,16 +139,19 @@ def _add_commands(router: APIRouter, services: Services) -> None:
             examples={HTTPStatus.CONFLICT: _REFUSED_EXAMPLE},
         ),
     )
-    async def post_command(body: CommandBody) -> Response:
+    async def post_command(request: Request, body: CommandBody) -> Response:
         """Give a command and wait for its end; the same ``id`` again gives it once and answers the same.
 
         Outcome ``biobot_confirmed``: done. ``failed``: it did not reach the biobot, or was not carried out. ``unknown``: nobody can tell.
         """
+        person, action = person_of(request), StimulationAction(body.action)
+        if action not in STOPS:
+            services.access.limits.take_write(person)
         command = await services.commands.submit(
             Wish(
                 node=EVERYBODY if body.biobot is None else NodeId(int(body.biobot)),
-                action=StimulationAction(body.action),
-                operator=body.operator,
+                action=action,
+                operator=person.name,
                 ttl_ms=body.ttl_ms,
                 hold_ms=body.hold_ms,
                 pulse=_pulse(body.pulse),
@@ -219,10 +223,10 @@ def add_mission_routes(router: APIRouter, services: Services) -> None:
         tags=["mission"],
         responses=describe_answers(OrderView, (*BODY_PROBLEMS, HTTPStatus.CONFLICT, HTTPStatus.SERVICE_UNAVAILABLE)),
     )
-    async def post_order(body: OrderBody) -> Response:
+    async def post_order(request: Request, body: OrderBody) -> Response:
         """Order the mission of a gateway, or of each, to begin, pause, go on, choose landmarks, or end; the same ``id`` again is one."""
         order, answers = await services.mission.order(
-            action=body.action, operator=body.operator, gateway=body.gateway, ttl_ms=body.ttl_ms, order_id=body.id
+            action=body.action, operator=person_of(request).name, gateway=body.gateway, ttl_ms=body.ttl_ms, order_id=body.id
         )
         return json_response(view_order(order, answers))
 

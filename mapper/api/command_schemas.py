@@ -12,12 +12,10 @@ STOP_PATH: Final = "/api/v1/stop"
 MAX_WAIT_S: Final = 60.0
 
 _ID: Final = r"^[A-Za-z0-9._-]+$"
-_PRINTABLE: Final = r"^[^\x00-\x1f\x7f]+$"
 _STOPS_ALL: Final = "stop_all"
 
 CommandId = Annotated[str, Field(min_length=1, max_length=64, pattern=_ID)]
 GatewayName = Annotated[str, Field(min_length=1, max_length=63, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
-Operator = Annotated[str, Field(min_length=1, max_length=64, pattern=_PRINTABLE, description="Who gives it, for the record")]
 StageName = Literal["accepted", "radio_confirmed", "biobot_confirmed", "refused", "failed", "unknown"]
 OutcomeName = Literal["biobot_confirmed", "refused", "failed", "unknown", "undelivered"]
 RefusalName = Annotated[str | None, Field(description="Why it was refused, for programs: a word of the contract (CONTRACT.md §4)")]
@@ -27,6 +25,17 @@ _Biobot = NodeNumber | NodeText
 
 class _Body(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class _GivenBody(_Body):
+    """What somebody gives: who that is, the token says, and nobody else."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_operator(cls, given: object) -> object:
+        if isinstance(given, dict) and "operator" in given:
+            raise ValueError("operator is not taken from the body: it is the name of the token's holder; leave it out")
+        return given
 
 
 class PulseBody(_Body):
@@ -40,15 +49,15 @@ class PulseBody(_Body):
     waveform: Literal["symmetric", "asymmetric", "monophasic"] | None = None
 
 
-class CommandBody(_Body):
+class CommandBody(_GivenBody):
     """A command to one biobot, or a stop of all."""
 
     model_config = ConfigDict(
         json_schema_extra={
             "examples": [
-                {"biobot": 17, "action": "stop", "operator": "anna"},
-                {"biobot": 17, "action": "turn_left", "operator": "anna", "hold_ms": 2000, "id": "left-1"},
-                {"biobot": 17, "action": "start", "operator": "anna", "pulse": {"frequency_hz": 50, "duration_ms": 300}, "wait_s": 0},
+                {"biobot": 17, "action": "stop"},
+                {"biobot": 17, "action": "turn_left", "hold_ms": 2000, "id": "left-1"},
+                {"biobot": 17, "action": "start", "pulse": {"frequency_hz": 50, "duration_ms": 300}, "wait_s": 0},
             ]
         }
     )
@@ -57,7 +66,6 @@ class CommandBody(_Body):
         default=None, description="Its id, as a number or as a decimal string (a program may not hold 64-bit numbers); none for stop_all"
     )
     action: Literal["start", "stop", "turn_left", "turn_right", "follow_walls", "stop_all"]
-    operator: Operator
     ttl_ms: int = Field(default=5_000, ge=1, le=60_000, description="Not carried out later than this after now; a stop always is")
     hold_ms: int = Field(
         default=0,
@@ -76,14 +84,11 @@ class CommandBody(_Body):
         return self
 
 
-class StopBody(_Body):
+class StopBody(_GivenBody):
     """An emergency stop; nothing of it must be given."""
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{}, {"operator": "anna"}, {"operator": "anna", "biobots": [3, 17], "wait_s": 3}]}
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [{}, {"biobots": [3, 17], "wait_s": 3}]})
 
-    operator: Operator = "unnamed"
     biobots: list[_Biobot] | None = Field(
         default=None, min_length=1, max_length=256, description="Some alone; left out: all, at every gateway"
     )
@@ -98,13 +103,12 @@ class StopBody(_Body):
     )
 
 
-class OrderBody(_Body):
+class OrderBody(_GivenBody):
     """An order to the mission of a gateway, or of all."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"action": "pause", "operator": "anna"}]})
+    model_config = ConfigDict(json_schema_extra={"examples": [{"action": "pause"}]})
 
     action: Annotated[MissionAction, Field(strict=False)]
-    operator: Operator
     gateway: GatewayName | None = Field(default=None, description="Whose mission; none: each that takes it")
     ttl_ms: int = Field(default=5_000, ge=1, le=60_000)
     id: CommandId | None = Field(default=None, description="Repeat a request under the same id, and the order is given once")

@@ -8,16 +8,18 @@ from mapper.api.errors import PROBLEM_TYPE
 from mapper.api.schemas import Problem
 
 _SUMMARIES: Final = {
-    HTTPStatus.FORBIDDEN: "A page of another site asked for it",
+    HTTPStatus.UNAUTHORIZED: "No token is shown, or one that opens nothing",
+    HTTPStatus.FORBIDDEN: "The token's role does not reach so far (`role_needed`), or a page of another site asked for it",
     HTTPStatus.NOT_FOUND: "Unknown here",
-    HTTPStatus.CONFLICT: "The gateway refused it: `reason` is for people, `refusal` for programs",
+    HTTPStatus.MISDIRECTED_REQUEST: "The service is called by a name that is not its own",
+    HTTPStatus.CONFLICT: "Refused as things stand; of a command, `reason` is for people and `refusal` for programs",
     HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "The body is too large",
     HTTPStatus.UNPROCESSABLE_ENTITY: "The request is malformed",
-    HTTPStatus.TOO_MANY_REQUESTS: "Too much at the same time",
+    HTTPStatus.TOO_MANY_REQUESTS: "Too much at the same time, or too often: try again after Retry-After",
     HTTPStatus.SERVICE_UNAVAILABLE: "Not now: try again after Retry-After",
     HTTPStatus.INTERNAL_SERVER_ERROR: "A computation failed",
     HTTPStatus.NOT_IMPLEMENTED: "A library that this needs is not installed here",
-    HTTPStatus.BAD_REQUEST: "The body is no JSON",
+    HTTPStatus.BAD_REQUEST: "The body is no JSON, or a token stands in the URL",
 }
 _FRESHNESS_HEADERS: Final = {
     "Map-Behind": {"description": "No record that is missing in the map came earlier than this [s] ago", "schema": {"type": "number"}},
@@ -85,13 +87,14 @@ def describe_answers(
         fine["headers"] = _ETAG | (_FRESHNESS_HEADERS if has_freshness else {})
         answers[304] = {"description": "The client has this version (If-None-Match)", "headers": _ETAG}
     for status in problems:
-        answers[int(status)] = _describe_problem(_SUMMARIES[status], (examples or {}).get(status))
-    answers[421] = _describe_problem("The service is called by a name that is not its own", None)
+        answers[int(status)] = describe_problem(status, example=(examples or {}).get(status))
+    answers[421] = describe_problem(HTTPStatus.MISDIRECTED_REQUEST)
     return answers
 
 
-def _describe_problem(summary: str, example: object) -> dict[str, Any]:
+def describe_problem(status: HTTPStatus, *, example: object = None) -> dict[str, Any]:
+    """Describe an error's answer."""
     content: dict[str, Any] = {"schema": {"$ref": f"#/components/schemas/{Problem.__name__}"}}
     if example is not None:
         content["example"] = example
-    return {"description": summary, "content": {PROBLEM_TYPE: content}}
+    return {"description": _SUMMARIES[status], "content": {PROBLEM_TYPE: content}}

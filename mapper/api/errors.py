@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from http import HTTPStatus
+from math import ceil
 from typing import Final
 
 import msgspec
@@ -9,6 +10,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
+from mapper.access import LastAdminError, NoTokenError, RateLimitError, RoleError, TokenFileError, TokenNameError, TokenNotFoundError
 from mapper.api.command_schemas import STOP_PATH
 from mapper.errors import (
     AlertNotFoundError,
@@ -39,6 +41,13 @@ from mapper.errors import (
 PROBLEM_TYPE: Final = "application/problem+json"
 
 STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
+    NoTokenError: HTTPStatus.UNAUTHORIZED,
+    RoleError: HTTPStatus.FORBIDDEN,
+    RateLimitError: HTTPStatus.TOO_MANY_REQUESTS,
+    TokenFileError: HTTPStatus.SERVICE_UNAVAILABLE,
+    TokenNameError: HTTPStatus.UNPROCESSABLE_ENTITY,
+    TokenNotFoundError: HTTPStatus.NOT_FOUND,
+    LastAdminError: HTTPStatus.CONFLICT,
     AlertNotFoundError: HTTPStatus.NOT_FOUND,
     BiobotNotFoundError: HTTPStatus.NOT_FOUND,
     CommandNotFoundError: HTTPStatus.NOT_FOUND,
@@ -70,6 +79,7 @@ _RETRY_AFTER_S: Final[Mapping[type[MapError], int]] = {
     GatewayAwayError: 5,
     StopUnansweredError: 1,
     StoreError: 5,
+    TokenFileError: 5,
 }
 _MAX_SHOWN_FAULTS: Final = 10
 
@@ -91,14 +101,20 @@ def add_error_handlers(app: FastAPI) -> None:
     app.add_exception_handler(Exception, _on_unforeseen)
 
 
-async def _on_map_error(request: Request, error: Exception) -> Response:
-    if not isinstance(error, MapError):
-        return await _on_unforeseen(request, error)
+def answer_error(error: MapError) -> Response:
+    """Make the answer that tells an error of ours."""
     status = STATUS_OF.get(type(error), HTTPStatus.INTERNAL_SERVER_ERROR)
     retry_after_s = _RETRY_AFTER_S.get(type(error))
     headers = {} if retry_after_s is None else {"Retry-After": str(retry_after_s)}
     facts: dict[str, object] = {}
     match error:
+        case NoTokenError():
+            headers = {"WWW-Authenticate": 'Bearer realm="biobot mapper"' + (', error="invalid_token"' if error.is_wrong else "")}
+            facts = {"role_needed": error.needed}
+        case RoleError():
+            facts = {"role": error.role, "role_needed": error.needed}
+        case RateLimitError():
+            headers = {"Retry-After": str(ceil(error.wait_s))}
         case NoMapYetError():
             facts = {"state": "waiting", "n_encounters": error.n_encounters, "minimum": error.minimum}
         case CommandRefusedError():
@@ -111,6 +127,10 @@ async def _on_map_error(request: Request, error: Exception) -> Response:
         case GatewayAwayError():
             facts = {"command_id": error.command_id, "outcome": "undelivered", "gateway": error.gateway}
     return problem(status, detail=str(error), headers=headers, facts=facts)
+
+
+async def _on_map_error(request: Request, error: Exception) -> Response:
+    return answer_error(error) if isinstance(error, MapError) else await _on_unforeseen(request, error)
 
 
 async def _on_invalid_request(request: Request, error: Exception) -> Response:

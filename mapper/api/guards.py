@@ -1,7 +1,7 @@
 """What every request and answer passes: limits, headers that keep the page to itself, and HEAD.
 
-There are no users yet: whoever reaches the port may command. So the service listens on loopback, and a page of another site that
-the operator's browser happens to show must not reach it either: its requests carry another ``Host`` or ``Origin``.
+A page of another site that the operator's browser happens to show must not reach the service: its requests carry another ``Host`` or
+``Origin``. Who may do what is looked at behind this (`door`).
 """
 
 from collections.abc import Collection
@@ -23,13 +23,11 @@ SECURITY_HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), display-capture=(), geolocation=(), microphone=(), payment=(), usb=()",
 }
+STRICT_TRANSPORT: Final = {"Strict-Transport-Security": "max-age=31536000"}
+"""Sent over TLS alone: a browser that has read it does not come back by http for a year."""
 
-_DEFAULT_FIELDS: Final = [
-    (name.lower().encode(), value.encode())
-    # What is compressed for one client must not be given to another.
-    for name, value in {**SECURITY_HEADERS, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}.items()
-]
 _SAFE_METHODS: Final = {"GET", "HEAD", "OPTIONS"}
 _NO_HEAD: Final = {"/api/v1/events", "/api/v1/encounters.csv", "/api/v1/encounters.parquet"}
 """What is written as it is sent has no length to tell."""
@@ -42,10 +40,15 @@ class Guard:
     ----------
     allowed_hosts
         Host names (no ports) by which the service may be called; None for any, on a machine that others may reach.
+    is_tls
+        The service is reached by https.
     """
 
-    def __init__(self, app: ASGIApp, *, allowed_hosts: Collection[str] | None) -> None:
+    def __init__(self, app: ASGIApp, *, allowed_hosts: Collection[str] | None, is_tls: bool = False) -> None:
         self._app = app
+        # What is compressed for one client must not be given to another.
+        fields = {**SECURITY_HEADERS, **(STRICT_TRANSPORT if is_tls else {}), "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
+        self._fields = [(name.lower().encode(), value.encode()) for name, value in fields.items()]
         self._allowed_hosts = None if allowed_hosts is None else {host.lower() for host in allowed_hosts}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -59,7 +62,7 @@ class Guard:
             if message["type"] == "http.response.start":
                 headers = list(message["headers"])
                 given = {name for name, _ in headers}
-                message = {**message, "headers": headers + [field for field in _DEFAULT_FIELDS if field[0] not in given]}
+                message = {**message, "headers": headers + [field for field in self._fields if field[0] not in given]}
             elif is_head and message["type"] == "http.response.body":
                 message = {**message, "body": b""}
             await send(message)

@@ -7,6 +7,7 @@ import msgspec
 from fastapi import APIRouter, Path, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
+from mapper.access import person_of
 from mapper.api.descriptions import BODY_PROBLEMS, describe_answers
 from mapper.api.quick_answers import served
 from mapper.api.schemas import AnswerModel, MapBody
@@ -100,11 +101,11 @@ def add_job_routes(router: APIRouter, services: Services) -> None:
             None, (*BODY_PROBLEMS, HTTPStatus.TOO_MANY_REQUESTS), accepted=(JobView, "Taken: `Location` says where it is")
         ),
     )
-    async def post_job(body: JobBody) -> Response:
+    async def post_job(request: Request, body: JobBody) -> Response:
         """Order the map of a time, or by another method. One job runs at a time; eight may wait; the last sixteen are kept, in memory."""
         given = body.model_dump(include={"method", "n_points", "replicates", "speed_mps"}, exclude_none=True)
         order = MapOrder(since_ns=body.from_wall_ns, until_ns=body.until_wall_ns, recipe=services.jobs.recipe_of(given))
-        job = services.jobs.submit(order, person="unnamed")
+        job = services.jobs.submit(order, person=person_of(request).name)
         return json_response(view_job(job), status=HTTPStatus.ACCEPTED, headers={"Location": f"{JOBS_PATH}/{job.id}"})
 
     @router.get(JOBS_PATH, tags=["jobs"], responses=describe_answers(JobList))

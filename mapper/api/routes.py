@@ -27,6 +27,7 @@ from mapper.api.schemas import (
     ReadyView,
 )
 from mapper.api.services import Services
+from mapper.api.token_routes import add_access_routes
 from mapper.api.views import (
     json_response,
     view_biobot,
@@ -50,6 +51,7 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     add_job_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
+    add_access_routes(router, services)
     add_past_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router

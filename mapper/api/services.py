@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from mapper.access import Access
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
@@ -38,6 +39,7 @@ class Services:
     emergency_stop: EmergencyStop
     mission: MissionDesk
     accounts: StimulationAccounts
+    access: Access
     pins: PinBoard
     jobs: JobDesk
     exports: Exports

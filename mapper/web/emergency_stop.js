@@ -1,14 +1,14 @@
 // One press stops every biobot at every gateway. No question is asked before, and it may be pressed again at any time.
 
-import { describe, post } from "./net.js";
+import { authorized, describe, post } from "./net.js";
 
 const LOOK_MS = 400;
 const LONGEST_S = 60;
 const MAX_SHOWN = 30;
 
 export class EmergencyStop {
-  constructor({ button, panel, title, lines, close, operator }) {
-    Object.assign(this, { panel, title, lines, operator });
+  constructor({ button, panel, title, lines, close }) {
+    Object.assign(this, { panel, title, lines });
     this.newest = null;
     button.addEventListener("click", () => this.press());
     close.addEventListener("click", () => {
@@ -25,10 +25,9 @@ export class EmergencyStop {
     const at = new Date().toLocaleTimeString();
     this.show(`Stop of all, ${at}: sent …`, null, []);
     const begun = performance.now();
-    const operator = this.operator.value.trim();
     let given;
     try {
-      given = await post("/api/v1/stop", { id, ...(operator ? { operator } : {}) });
+      given = await post("/api/v1/stop", { id });
     } catch {
       if (this.newest === id) this.show(`Stop of all, ${at}: the mapper does not answer. Use \`biobot-gateway stop --all\`.`, false, []);
       return;
@@ -55,7 +54,7 @@ export class EmergencyStop {
   /** How the stop stands: its answers, and a line for each gateway and for the biobots. */
   async look(id) {
     const [command, parts] = await Promise.all([`/${id}`, `?part_of=${id}&limit=1000`].map(async (path) => {
-      const response = await fetch(`/api/v1/commands${path}`, { cache: "no-store" });
+      const response = await fetch(`/api/v1/commands${path}`, { headers: authorized(), cache: "no-store" });
       if (!response.ok) throw new Error(`${path}: ${response.status}`);
       return response.json();
     }));

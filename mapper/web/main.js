@@ -13,8 +13,8 @@ const PHASES = { idle: "no mission", dispersion: "dispersion", landmark_selectio
 const element = (id) => document.getElementById(id);
 const mapView = new MapView(element("map-canvas"), element("map-tip"));
 const diagramView = new DiagramView(element("diagram"), { onChoose: (hole) => mapView.choose(hole) });
-const roster = new Roster({ body: element("rows"), empty: element("no-rows"), filter: element("filter"), operator: element("operator"), outcome: element("outcome") });
-new EmergencyStop({ button: element("emergency"), panel: element("stop-panel"), title: element("stop-title"), lines: element("stop-lines"), close: element("stop-close"), operator: element("operator") });
+const roster = new Roster({ body: element("rows"), empty: element("no-rows"), filter: element("filter"), outcome: element("outcome") });
+new EmergencyStop({ button: element("emergency"), panel: element("stop-panel"), title: element("stop-title"), lines: element("stop-lines"), close: element("stop-close") });
 
 const fetchers = Object.fromEntries(Object.entries({ health: "/healthz", map: "/api/v1/map", status: "/api/v1/map/status", diagram: "/api/v1/diagram", biobots: "/api/v1/biobots", mission: "/api/v1/mission" }).map(([name, path]) => [name, makeFetcher(path)]));
 let map = null;

@@ -8,13 +8,11 @@ const LOW_BATTERY_MV = 2200;
 const LOST_AFTER_S = 60;
 
 export class Roster {
-  constructor({ body, empty, filter, operator, outcome }) {
-    Object.assign(this, { body, empty, filter, operator, outcome });
+  constructor({ body, empty, filter, outcome }) {
+    Object.assign(this, { body, empty, filter, outcome });
     this.rows = new Map();
     this.clockOffsetS = 0;
     this.biobots = [];
-    operator.value = localStorage.getItem("operator") || "operator";
-    operator.addEventListener("change", () => localStorage.setItem("operator", operator.value));
     filter.addEventListener("input", () => this.applyFilter());
   }
 
@@ -98,12 +96,6 @@ export class Roster {
   }
 
   async command(row, action) {
-    const operator = this.operator.value.trim();
-    if (!operator) {
-      this.tell("Say who you are first: every command is recorded with a name.", false);
-      this.operator.focus();
-      return;
-    }
     const label = `${action === "stop" ? "Stop" : "Start"} biobot ${row.biobot.key}`;
     // A second press of Start would be a second stimulus; Stop may be pressed as often as one likes.
     const start = row.buttons[0];
@@ -111,7 +103,7 @@ export class Roster {
     this.tell(`${label}: sent …`, null);
     const begun = performance.now();
     const onStage = (stage) => this.tell(`${label}: ${stage} …`, null);
-    const { isFine, text } = await sendCommand({ key: row.biobot.key, action, operator, onStage });
+    const { isFine, text } = await sendCommand({ key: row.biobot.key, action, onStage });
     start.disabled = false;
     this.tell(`${label}: ${text} (${((performance.now() - begun) / 1000).toFixed(1)} s)`, isFine);
   }

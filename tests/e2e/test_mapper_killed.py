@@ -1,17 +1,31 @@
-"""A mapper that is killed while it moves a biobot: the gateway stops the biobot, and another mapper sees who did."""
+"""A mapper that is killed while it moves a biobot: the gateway stops the biobot, and another mapper sees who did.
 
+And the audit log names the persons whose tokens the commands were given with.
+"""
+
+import json
+import subprocess
+import sys
 from http import HTTPStatus
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
-from studies.system import RunningSystem, SystemSettings
-from tests.mapper.serving import serving
+from studies.system import OPERATOR, RunningSystem, SystemSettings
+from tests.mapper.serving import serving, shown
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
 
-TURN = {"action": "turn_left", "operator": "anna", "hold_ms": 60_000}
+TURN = {"action": "turn_left", "hold_ms": 60_000}
+
+
+def audited(journal: Path, *, operator: str) -> list[dict[str, Any]]:
+    """What the gateway's audit log has of a person, as its command line shows it."""
+    command = [sys.executable, "-m", "gateway", "audit", "show", str(journal), "--operator", operator, "--json"]
+    lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    return [json.loads(line) for line in lines]
 
 
 def test_whom_a_killed_mapper_moves_is_stopped_by_the_dead_man(tmp_path: Path) -> None:
@@ -24,7 +38,7 @@ def test_whom_a_killed_mapper_moves_is_stopped_by_the_dead_man(tmp_path: Path) -
 
             def moved() -> int | None:
                 for biobot in range(1, 7):
-                    answer = httpx.post(url + "api/v1/commands", json={**TURN, "biobot": biobot}, timeout=30)
+                    answer = httpx.post(url + "api/v1/commands", json={**TURN, "biobot": biobot}, headers=shown(directory), timeout=30)
                     if answer.status_code == HTTPStatus.OK and answer.json()["outcome"] == "biobot_confirmed":
                         return biobot
                 return None
@@ -46,3 +60,10 @@ def test_whom_a_killed_mapper_moves_is_stopped_by_the_dead_man(tmp_path: Path) -
                 timeout_s=30,
             )
             assert standing["cause"] == "command"
+            system.post("/api/v1/stop", {"wait_s": 30})
+            system.post("/api/v1/mission/orders", {"action": "pause"})
+        journal = tmp_path / "gateway.sqlite"
+        assert "turn_left" in {one.get("action") for one in audited(journal, operator="anna")}
+        by_other = audited(journal, operator=OPERATOR)
+        assert "stop_all" in {one.get("action") for one in by_other}
+        assert "mission.order" in {one["kind"] for one in by_other}

@@ -78,7 +78,7 @@ def test_a_mission_over_a_pty_gives_a_map_with_every_encounter_once_and_a_stop_t
         walker = next(one for one in range(1, 151) if one not in landmarks)
         system.wait_for(lambda: is_reachable(system, walker), what="that a command finds the walker", timeout_s=60)
 
-        answer = system.post("/api/v1/commands", {"biobot": walker, "action": "stop", "operator": "test"})
+        answer = system.post("/api/v1/commands", {"biobot": walker, "action": "stop"})
 
         assert answer["outcome"] == "biobot_confirmed"
         assert [stage["stage"] for stage in answer["stages"]] == ["accepted", "radio_confirmed", "biobot_confirmed"]

@@ -2,13 +2,15 @@
 
 import asyncio
 import itertools
+import tempfile
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from firmware_protocol.contract.records import JournalRecord
+from mapper.access import Access, NewToken, Rate, RateLimits, Role, TokenRegister, add_token
 from mapper.api.services import Engines, Services
 from mapper.bus import Bus
 from mapper.changes import Changes, Topic
@@ -54,6 +56,8 @@ class Side:
     commander: Commander
     accounts: StimulationAccounts
     current_map: CurrentMap
+    access: Access
+    tokens: Mapping[Role, NewToken]
     history: MapHistory
     pins: PinBoard
     jobs: JobDesk
@@ -69,6 +73,7 @@ class Side:
             emergency_stop=EmergencyStop(self.desk),
             mission=MissionDesk(bus=self.bus),
             accounts=self.accounts,
+            access=self.access,
             pins=self.pins,
             jobs=self.jobs,
             exports=Exports(self.records),
@@ -94,6 +99,16 @@ class Side:
         return await self.records.call(lambda store: store.n_encounters)
 
 
+PEOPLE = {Role.VIEWER: "vera", Role.OPERATOR: "anna", Role.ADMIN: "ada"}
+
+
+def make_access(path: Path, *, allows_anonymous_reading: bool = True, writes_burst: float = 100.0) -> tuple[Access, dict[Role, NewToken]]:
+    """Make a file of tokens, one for each role, and open it."""
+    tokens = {role: add_token(path, name=name, role=role) for role, name in PEOPLE.items()}
+    limits = RateLimits(reads=Rate(per_s=50.0, burst=500.0), writes=Rate(per_s=10.0, burst=writes_burst))
+    return Access(register=TokenRegister.open(path), limits=limits, allows_anonymous_reading=allows_anonymous_reading), tokens
+
+
 @asynccontextmanager
 async def mapper_side(
     port: int,
@@ -105,6 +120,8 @@ async def mapper_side(
     min_interval_s: float = 0.1,
     clock: Callable[[], int] = time.time_ns,
     more_ports: Sequence[int] = (),
+    allows_anonymous_reading: bool = True,
+    writes_burst: float = 100.0,
 ) -> AsyncIterator[Side]:
     records = await StoreThread.open(store)
     bus = await Bus.open(site=SITE, connect=tuple(f"tcp/127.0.0.1:{one}" for one in (port, *more_ports)), listen=())
@@ -141,7 +158,18 @@ async def mapper_side(
     )
     if with_map:
         await current_map.restore()
-    runs = [intake.run(), desk.run(), commander.run(), jobs.run(), *([current_map.run(), history.run()] if with_map else [])]
+    folder = tempfile.TemporaryDirectory()
+    access, tokens = make_access(
+        Path(folder.name) / "tokens.json", allows_anonymous_reading=allows_anonymous_reading, writes_burst=writes_burst
+    )
+    runs = [
+        intake.run(),
+        desk.run(),
+        commander.run(),
+        jobs.run(),
+        access.register.run(),
+        *([current_map.run(), history.run()] if with_map else []),
+    ]
     tasks = [asyncio.create_task(run) for run in runs]
     await asyncio.sleep(0)
     try:
@@ -155,6 +183,8 @@ async def mapper_side(
             commander=commander,
             accounts=accounts,
             current_map=current_map,
+            access=access,
+            tokens=tokens,
             history=history,
             pins=pins,
             jobs=jobs,
@@ -166,3 +196,4 @@ async def mapper_side(
         await asyncio.gather(*tasks, return_exceptions=True)
         await bus.aclose()
         await records.aclose()
+        folder.cleanup()

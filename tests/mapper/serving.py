@@ -8,16 +8,25 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from mapper.access import Role, add_token
+
 START_S = 30.0
 STOP_S = 15.0
 
 
 @contextmanager
 def serving(directory: Path, *, connect: int, arguments: Sequence[str] = ()) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
-    """Yield the page's URL and the process; end it as an operator would, and find that it ends well."""
+    """Yield the page's URL and the process; end it as an operator would, and find that it ends well.
+
+    Operator anna has a token there, which `token_of` returns.
+    """
     url_file = directory / "url"
     url_file.unlink(missing_ok=True)
+    tokens = directory / "tokens.json"
+    if not tokens.exists():
+        add_token(tokens, name="anna", role=Role.OPERATOR, secret_file=directory / "token")
     command = [sys.executable, "-m", "mapper", "serve", "--port", "0", "--url-file", str(url_file), "--connect", f"tcp/127.0.0.1:{connect}"]
+    command += ["--tokens", str(tokens)]
     with (directory / "mapper.log").open("a", encoding="utf-8") as log:
         process = subprocess.Popen([*command, *arguments], stdout=log, stderr=log, text=True)
     try:
@@ -34,3 +43,13 @@ def serving(directory: Path, *, connect: int, arguments: Sequence[str] = ()) -> 
         if process.poll() is None:
             process.kill()
         process.wait()
+
+
+def token_of(directory: Path) -> str:
+    """Return the token of operator anna, of the mapper that serves from a directory."""
+    return (directory / "token").read_text().strip()
+
+
+def shown(directory: Path) -> dict[str, str]:
+    """Return the header that shows it."""
+    return {"Authorization": f"Bearer {token_of(directory)}"}

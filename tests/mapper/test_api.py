@@ -14,6 +14,8 @@ from starlette.routing import Route
 from firmware_protocol.contract.commands import Stage
 from firmware_protocol.contract.records import MissionPhase
 from mapper import errors
+from mapper.access import Role
+from mapper.access import errors as access_errors
 from mapper.api.app import create_unguarded_app
 from mapper.api.errors import STATUS_OF
 from mapper.api.event_stream import EventStream
@@ -24,19 +26,21 @@ from tests.mapper.ring import ring_records
 from tests.mapper.web_side import BASE, check_against, client_of, meet, openapi_of
 
 HUGE = 2**64 - 1
-UNKNOWN = {"command_id": "unknown", "biobot": 77, "number": 77, "version": 77}
+UNKNOWN = {"command_id": "unknown", "biobot": 77, "number": 77, "version": 77, "job_id": "unknown"}
 """What stands for the parameters of paths: nothing of that name is there."""
 _PLACES = {"from": "landmark:1001", "to": "landmark:1005"}
 ASKED = {"/api/v1/route": _PLACES, "/api/v1/distance": _PLACES, "/api/v1/maps/{version}/difference": {"since": "1"}}
 """What must be asked along."""
-KNOWN = {"command_id": "one", "biobot": HUGE, "number": 1, "version": 1}
+KNOWN = {"command_id": "one", "biobot": HUGE, "number": 1, "version": 1, "job_id": "job1"}
 
 
-def run(story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]], *, with_map: bool = False) -> None:
+def run(
+    story: Callable[[Side, FakeGateway, httpx.AsyncClient], Awaitable[None]], *, with_map: bool = False, role: Role = Role.OPERATOR
+) -> None:
     async def whole() -> None:
         port = free_port()
         with FakeGateway(port=port) as gateway:
-            async with mapper_side(port, with_map=with_map) as side, client_of(side) as client:
+            async with mapper_side(port, with_map=with_map) as side, client_of(side, role=role) as client:
                 await until(lambda: side.bus.is_connected and gateway.is_heard)
                 await story(side, gateway, client)
 
@@ -58,12 +62,17 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         await meet(side, gateway, HUGE)
         gateway.publish_account(account(HUGE))
         await until(lambda: bool(side.history.page()[0]) and bool(side.accounts.all()))
-        done = await client.post("/api/v1/commands", json={"biobot": str(HUGE), "action": "stop", "operator": "anna", "id": "one"})
+        done = await client.post("/api/v1/commands", json={"biobot": str(HUGE), "action": "stop", "id": "one"})
         assert done.status_code == HTTPStatus.OK
         check_against(document, "/api/v1/commands", done, method="post")
         check_against(document, "/api/v1/stop", await client.post("/api/v1/stop"), method="post")
-        ordered = await client.post("/api/v1/mission/orders", json={"action": "start", "operator": "anna"})
+        ordered = await client.post("/api/v1/mission/orders", json={"action": "start"})
         check_against(document, "/api/v1/mission/orders", ordered, method="post")
+        check_against(document, "/api/v1/jobs", await client.post("/api/v1/jobs", json={"kind": "map", "replicates": 0}), method="post")
+        async with asyncio.timeout(60):
+            await side.jobs.get("job1").is_done.wait()
+        pinned = await client.put("/api/v1/pins/door", json={"place": "landmark:1001"})
+        check_against(document, "/api/v1/pins/{name}", pinned, method="put")
         for path in gets:
             asked = ASKED.get(path, {})
             answer = await client.get(path.format(**KNOWN), params=asked)
@@ -76,7 +85,7 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         for component in document["components"]["schemas"].values():
             assert component.get("description"), component["title"]
 
-    run(story, with_map=True)
+    run(story, with_map=True, role=Role.ADMIN)
 
 
 def test_the_map_is_sent_once_for_a_version() -> None:
@@ -163,7 +172,7 @@ def test_encounters_come_in_pages() -> None:
 
 def test_a_command_answers_with_its_stages_and_its_refusals_with_their_reason() -> None:
     async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
-        stop = {"biobot": 5, "action": "stop", "operator": "anna"}
+        stop = {"biobot": 5, "action": "stop"}
         unknown = await client.post("/api/v1/commands", json={**stop, "action": "start"})
         assert unknown.status_code == HTTPStatus.NOT_FOUND
         assert "biobot 5" in unknown.json()["detail"]
@@ -198,36 +207,33 @@ BAD_BODIES: list[tuple[str, bytes]] = [
     ("cut off", b'{"biobot": 5, "action": "st'),
     ("array", b"[]"),
     ("null", b"null"),
-    ("not utf-8", b'{"biobot": 5, "action": "stop", "operator": "\xff\xfe"}'),
-    ("lone surrogate", b'{"biobot": 5, "action": "stop", "operator": "\\ud800"}'),
-    ("nan", b'{"biobot": NaN, "action": "stop", "operator": "a"}'),
-    ("infinity", b'{"biobot": 1e999, "action": "stop", "operator": "a"}'),
-    ("endless number", b'{"biobot": ' + b"9" * 6000 + b', "action": "stop", "operator": "a"}'),
+    ("not utf-8", b'{"biobot": 5, "action": "stop", "id": "\xff\xfe"}'),
+    ("lone surrogate", b'{"biobot": 5, "action": "stop", "id": "\\ud800"}'),
+    ("nan", b'{"biobot": NaN, "action": "stop"}'),
+    ("infinity", b'{"biobot": 1e999, "action": "stop"}'),
+    ("endless number", b'{"biobot": ' + b"9" * 6000 + b', "action": "stop"}'),
     ("deep", b"[" * 30_000 + b"]" * 30_000),
-    ("fraction", b'{"biobot": 5.0, "action": "stop", "operator": "a"}'),
-    ("truth", b'{"biobot": true, "action": "stop", "operator": "a"}'),
-    ("negative", b'{"biobot": -1, "action": "stop", "operator": "a"}'),
-    ("too high", b'{"biobot": 18446744073709551616, "action": "stop", "operator": "a"}'),
-    ("too high, as text", b'{"biobot": "99999999999999999999", "action": "stop", "operator": "a"}'),
-    ("other digits", '{"biobot": "٥", "action": "stop", "operator": "a"}'.encode()),
-    ("no action", b'{"biobot": 5, "operator": "a"}'),
-    ("other action", b'{"biobot": 5, "action": "explode", "operator": "a"}'),
-    ("nobody", b'{"biobot": 5, "action": "stop", "operator": ""}'),
-    ("long name", b'{"biobot": 5, "action": "stop", "operator": "' + b"a" * 65 + b'"}'),
-    ("control characters", b'{"biobot": 5, "action": "stop", "operator": "a\\u0000b"}'),
-    ("line break", b'{"biobot": 5, "action": "stop", "operator": "a\\n"}'),
-    ("extra", b'{"biobot": 5, "action": "stop", "operator": "a", "amplitude_mv": 9000}'),
-    ("text for a number", b'{"biobot": 5, "action": "stop", "operator": "a", "ttl_ms": "100"}'),
-    ("no time", b'{"biobot": 5, "action": "stop", "operator": "a", "ttl_ms": 0}'),
-    ("too long", b'{"biobot": 5, "action": "stop", "operator": "a", "ttl_ms": 60001}'),
-    ("nobody to start", b'{"action": "start", "operator": "a"}'),
-    ("one of all", b'{"biobot": 5, "action": "stop_all", "operator": "a"}'),
-    ("strange pulse", b'{"biobot": 5, "action": "start", "operator": "a", "pulse": {"volts": 9}}'),
-    ("no frequency", b'{"biobot": 5, "action": "start", "operator": "a", "pulse": {"frequency_hz": 0}}'),
-    ("other waveform", b'{"biobot": 5, "action": "start", "operator": "a", "pulse": {"waveform": "saw"}}'),
-    ("endless wait", b'{"biobot": 5, "action": "stop", "operator": "a", "wait_s": 61}'),
-    ("id with a slash", b'{"biobot": 5, "action": "stop", "operator": "a", "id": "../x"}'),
-    ("id with a line break", b'{"biobot": 5, "action": "stop", "operator": "a", "id": "x\\n"}'),
+    ("fraction", b'{"biobot": 5.0, "action": "stop"}'),
+    ("truth", b'{"biobot": true, "action": "stop"}'),
+    ("negative", b'{"biobot": -1, "action": "stop"}'),
+    ("too high", b'{"biobot": 18446744073709551616, "action": "stop"}'),
+    ("too high, as text", b'{"biobot": "99999999999999999999", "action": "stop"}'),
+    ("other digits", '{"biobot": "٥", "action": "stop"}'.encode()),
+    ("no action", b'{"biobot": 5}'),
+    ("other action", b'{"biobot": 5, "action": "explode"}'),
+    ("who gives it", b'{"biobot": 5, "action": "stop", "operator": "a"}'),
+    ("extra", b'{"biobot": 5, "action": "stop", "amplitude_mv": 9000}'),
+    ("text for a number", b'{"biobot": 5, "action": "stop", "ttl_ms": "100"}'),
+    ("no time", b'{"biobot": 5, "action": "stop", "ttl_ms": 0}'),
+    ("too long", b'{"biobot": 5, "action": "stop", "ttl_ms": 60001}'),
+    ("nobody to start", b'{"action": "start"}'),
+    ("one of all", b'{"biobot": 5, "action": "stop_all"}'),
+    ("strange pulse", b'{"biobot": 5, "action": "start", "pulse": {"volts": 9}}'),
+    ("no frequency", b'{"biobot": 5, "action": "start", "pulse": {"frequency_hz": 0}}'),
+    ("other waveform", b'{"biobot": 5, "action": "start", "pulse": {"waveform": "saw"}}'),
+    ("endless wait", b'{"biobot": 5, "action": "stop", "wait_s": 61}'),
+    ("id with a slash", b'{"biobot": 5, "action": "stop", "id": "../x"}'),
+    ("id with a line break", b'{"biobot": 5, "action": "stop", "id": "x\\n"}'),
 ]
 
 
@@ -240,7 +246,7 @@ def test_no_bad_body_reaches_a_gateway() -> None:
             assert answer.status_code in {HTTPStatus.BAD_REQUEST, HTTPStatus.UNPROCESSABLE_ENTITY}, name
             check_against(document, "/api/v1/commands", answer, method="post")
         for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x"):
-            fine = b'{"biobot": 5, "action": "stop", "operator": "a"}'
+            fine = b'{"biobot": 5, "action": "stop"}'
             answer = await client.post("/api/v1/commands", content=fine, headers={"Content-Type": kind})
             assert answer.status_code == HTTPStatus.UNPROCESSABLE_ENTITY, kind
         assert gateway.commands == []
@@ -251,7 +257,7 @@ def test_no_bad_body_reaches_a_gateway() -> None:
 def test_requests_from_elsewhere_and_requests_too_large_are_refused() -> None:
     async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
         await meet(side, gateway, 5)
-        stop = {"biobot": 5, "action": "stop", "operator": "anna"}
+        stop = {"biobot": 5, "action": "stop"}
         for host in ("evil.example", "127.0.0.1.evil.example", "", "[", "localhost@evil.example:80"):
             answer = await client.get("/api/v1/biobots", headers={"Host": host})
             assert answer.status_code == HTTPStatus.MISDIRECTED_REQUEST, host
@@ -260,7 +266,7 @@ def test_requests_from_elsewhere_and_requests_too_large_are_refused() -> None:
         for origin in ("http://evil.example", "null", "http://127.0.0.1:9999"):
             answer = await client.post("/api/v1/commands", json=stop, headers={"Origin": origin})
             assert answer.status_code == HTTPStatus.FORBIDDEN, origin
-        large = b'{"operator": "' + b"a" * MAX_BODY_BYTES + b'"}'
+        large = b'{"id": "' + b"a" * MAX_BODY_BYTES + b'"}'
         announced = await client.post("/api/v1/commands", content=large, headers={"Content-Type": "application/json"})
 
         async def trickle() -> AsyncIterator[bytes]:
@@ -324,7 +330,8 @@ def test_every_error_of_the_mapper_that_can_reach_the_web_has_a_status() -> None
         "BusError",
     }
     offline |= {"QueryError", "ListenError", "KernelsError", "SelfTestError", "MapError", "UnlikeMapsError"}
-    leaves = {name for name, value in vars(errors).items() if isinstance(value, type) and issubclass(value, errors.MapError)}
+    both = {**vars(errors), **vars(access_errors)}
+    leaves = {name for name, value in both.items() if isinstance(value, type) and issubclass(value, errors.MapError)}
     assert leaves - offline == {error.__name__ for error in STATUS_OF}
 
 
@@ -355,7 +362,6 @@ command_like = st.fixed_dictionaries(
     optional={
         "biobot": json_values | st.integers(0, 9),
         "action": json_values | st.sampled_from(["start", "stop"]),
-        "operator": json_values | st.text(min_size=1, max_size=70),
         "ttl_ms": json_values | st.integers(-1, 60_001),
         "id": json_values | st.from_regex(r"\A[A-Za-z0-9._-]{1,8}\Z"),
     },

@@ -28,7 +28,7 @@ def test_a_train_of_ones_own_reaches_the_gateway() -> None:
             "channel": 1,
             "waveform": "asymmetric",
         }
-        start = {"biobot": 5, "action": "start", "operator": "anna"}
+        start = {"biobot": 5, "action": "start"}
         told = (await client.post(COMMANDS, json={**start, "pulse": pulse, "id": "one"})).json()
         assert told["pulse"] == pulse
         await client.post(COMMANDS, json={**start, "pulse": {"duration_ms": 100}})
@@ -61,7 +61,7 @@ def test_stages_are_seen_while_they_happen() -> None:
 
         gateway.answer = slowly
         try:
-            given = await client.post(COMMANDS, json={"biobot": 5, "action": "start", "operator": "anna", "id": "one", "wait_s": 0})
+            given = await client.post(COMMANDS, json={"biobot": 5, "action": "start", "id": "one", "wait_s": 0})
             assert given.status_code == HTTPStatus.ACCEPTED
             check_against(openapi_of(side), COMMANDS, given, method="post")
             path = f"{COMMANDS}/one"
@@ -90,7 +90,7 @@ def test_what_others_command_is_listed_with_who_gave_it() -> None:
     async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
         (gateway,) = gateways
         await meet(side, gateway, 5)
-        await client.post(COMMANDS, json={"biobot": 5, "action": "stop", "operator": "anna", "id": "mine"})
+        await client.post(COMMANDS, json={"biobot": 5, "action": "stop", "id": "mine"})
         by_dead_man = StimulationRequest(
             command_id="theirs", node=NodeId(6), action=StimulationAction.STOP, operator="dead-man", issued_wall_ns=Nanoseconds(0)
         )

@@ -18,23 +18,23 @@ def test_an_order_goes_to_each_mission_or_to_one_and_refusals_say_why() -> None:
     async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
         document = openapi_of(side)
         gateways[1].order_answer = lambda _order: (False, "nothing is paused; orders now: start")
-        both = await client.post(ORDERS, json={"action": "resume", "operator": "anna", "id": "one"})
+        both = await client.post(ORDERS, json={"action": "resume", "id": "one"})
         check_against(document, ORDERS, both, method="post")
         answers = both.json()["answers"]
         assert [(answer["gateway"], answer["is_taken"], answer["reason"]) for answer in answers] == [
             ("gateway1", True, ""),
             ("gateway2", False, "nothing is paused; orders now: start"),
         ]
-        second = await client.post(ORDERS, json={"action": "resume", "operator": "anna", "gateway": "gateway2"})
+        second = await client.post(ORDERS, json={"action": "resume", "gateway": "gateway2"})
         assert second.status_code == HTTPStatus.CONFLICT
         check_against(document, ORDERS, second, method="post")
         assert "gateway2: nothing is paused" in second.json()["detail"]
         (first,) = gateways[0].orders
         assert (first.order_id, first.action, first.operator) == ("one", MissionAction.RESUME, "anna")
-        absent = await client.post(ORDERS, json={"action": "start", "operator": "anna", "gateway": "elsewhere"})
+        absent = await client.post(ORDERS, json={"action": "start", "gateway": "elsewhere"})
         assert absent.status_code == HTTPStatus.SERVICE_UNAVAILABLE
         assert "gateway 'elsewhere' does not answer" in absent.json()["detail"]
-        for bad in ({}, {"action": "dance", "operator": "a"}, {"action": "start"}, {"action": "start", "operator": "a", "gateway": "*"}):
+        for bad in ({}, {"action": "dance"}, {"action": "start", "operator": "a"}, {"action": "start", "gateway": "*"}):
             answer = await client.post(ORDERS, json=bad)
             assert answer.status_code == HTTPStatus.UNPROCESSABLE_ENTITY
         assert len(gateways[0].orders) == 1

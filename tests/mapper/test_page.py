@@ -17,7 +17,7 @@ from firmware_protocol.contract.records import Cause, EncounterRecord, Mode
 from firmware_protocol.units import EVERYBODY, Nanoseconds, NodeId
 from tests.mapper.fake_gateway import FakeGateway, free_port
 from tests.mapper.ring import ring_records
-from tests.mapper.serving import serving
+from tests.mapper.serving import serving, token_of
 from tests.mapper.worlds import FIRST_LANDMARK
 
 CHROMIUM = shutil.which("chromium")
@@ -77,13 +77,18 @@ def browser() -> Iterator[Browser]:
 
 
 @contextmanager
-def opened(browser: Browser, url: str, *, width: int = 1280, height: int = 800, scheme: str = "light") -> Iterator[Watched]:
+def opened(
+    browser: Browser, url: str, *, directory: Path, width: int = 1280, height: int = 800, scheme: str = "light"
+) -> Iterator[Watched]:
     page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="dark" if scheme == "dark" else "light")
     watched = Watched(page=page)
     page.set_default_timeout(WAIT_MS)
     page.on("request", lambda request: None if request.url.startswith((url, "data:", "blob:")) else watched.outside.append(request.url))
     page.on("console", lambda message: watched.faults.append(message.text) if message.type in {"error", "warning"} else None)
     page.on("pageerror", lambda error: watched.faults.append(str(error)))
+    token = token_of(directory)
+    page.add_init_script(f"sessionStorage.setItem('biobot.token', '{token}')")
+    page.on("request", lambda request: watched.faults.append("a token in a URL") if token[16:32] in request.url else None)
     page.goto(url)
     yield watched
     assert watched.outside == []
@@ -111,7 +116,11 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
     port = free_port()
     records = ring_records()
     n_encounters = sum(isinstance(record, EncounterRecord) for record in records)
-    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, _process), opened(browser, url) as watched:
+    with (
+        FakeGateway(port=port) as gateway,
+        serving(tmp_path, connect=port) as (url, _process),
+        opened(browser, url, directory=tmp_path) as watched,
+    ):
         page = watched.page
         expect(page.get_by_text("Waiting for encounters")).to_be_visible()
         expect(page.get_by_text("No gateway has reported a biobot yet.")).to_be_visible()
@@ -144,7 +153,6 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         expect(page.get_by_role("row").filter(has_text=str(FIRST_LANDMARK)).first).to_contain_text("landmark")
         expect(page.get_by_role("row").filter(has=page.get_by_role("button", name="Stop biobot 1", exact=True))).to_contain_text("3.40 V")
 
-        page.get_by_label("You").fill("anna")
         page.get_by_role("button", name="Stop biobot 3", exact=True).click()
         expect(page.locator("#outcome")).to_contain_text("Stop biobot 3: confirmed by the biobot")
         assert [(command.node, command.action, command.operator) for command in gateway.commands] == [(3, StimulationAction.STOP, "anna")]
@@ -156,12 +164,12 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         assert fits_its_width(page)
         page.wait_for_timeout(300)
         picture(page, "page-light")
-        with opened(browser, url, scheme="dark") as dark:
+        with opened(browser, url, directory=tmp_path, scheme="dark") as dark:
             expect(dark.page.locator("#holes")).to_have_text("1")
             dark.page.wait_for_timeout(300)
             assert dark.page.evaluate(COUNT_HOLE_PIXELS) > 300
             picture(dark.page, "page-dark")
-        with opened(browser, url, width=390, height=844) as phone:
+        with opened(browser, url, directory=tmp_path, width=390, height=844) as phone:
             expect(phone.page.locator("#holes")).to_have_text("1")
             phone.page.wait_for_timeout(300)
             assert phone.page.evaluate(COUNT_HOLE_PIXELS) > 100
@@ -171,7 +179,11 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
 
 def test_the_page_can_be_used_with_the_keyboard_alone(browser: Browser, tmp_path: Path) -> None:
     port = free_port()
-    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, _process), opened(browser, url) as watched:
+    with (
+        FakeGateway(port=port) as gateway,
+        serving(tmp_path, connect=port) as (url, _process),
+        opened(browser, url, directory=tmp_path) as watched,
+    ):
         page = watched.page
 
         def known() -> bool:
@@ -191,7 +203,11 @@ def test_the_page_can_be_used_with_the_keyboard_alone(browser: Browser, tmp_path
 
 def test_a_start_pressed_twice_is_given_once_and_a_stop_meanwhile_goes_out(browser: Browser, tmp_path: Path) -> None:
     port = free_port()
-    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, _process), opened(browser, url) as watched:
+    with (
+        FakeGateway(port=port) as gateway,
+        serving(tmp_path, connect=port) as (url, _process),
+        opened(browser, url, directory=tmp_path) as watched,
+    ):
         page = watched.page
 
         def slowly(request: StimulationRequest) -> Iterator[Stage]:
@@ -239,13 +255,17 @@ def test_a_page_says_that_its_map_is_of_a_window_and_by_another_method(browser: 
             return bool(httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
 
         until(has_map)
-        with opened(browser, url) as watched:
+        with opened(browser, url, directory=tmp_path) as watched:
             expect(watched.page.locator("#notices")).to_contain_text('a map of the last 40 s · by the method "paper"')
 
 
 def test_one_press_stops_all_and_says_who_confirmed(browser: Browser, tmp_path: Path) -> None:
     port = free_port()
-    with FakeGateway(port=port) as gateway, serving(tmp_path, connect=port) as (url, _process), opened(browser, url) as watched:
+    with (
+        FakeGateway(port=port) as gateway,
+        serving(tmp_path, connect=port) as (url, _process),
+        opened(browser, url, directory=tmp_path) as watched,
+    ):
         page = watched.page
         is_free = threading.Event()
 
@@ -272,7 +292,6 @@ def test_one_press_stops_all_and_says_who_confirmed(browser: Browser, tmp_path: 
             return "live" in (page.locator("#link").text_content() or "")
 
         until(is_live)
-        page.get_by_label("You").fill("anna")
         page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
         button = page.get_by_role("button", name="Stop all")
         expect(button).to_be_in_viewport()
@@ -291,7 +310,7 @@ def test_one_press_stops_all_and_says_who_confirmed(browser: Browser, tmp_path: 
         assert (command.node, command.action, command.operator) == (EVERYBODY, StimulationAction.STOP_ALL, "anna")
         picture(page, "page-stop")
         gateway.answer = lambda _request: (Stage.ACCEPTED, Stage.BIOBOT_CONFIRMED)
-        with opened(browser, url, width=390, height=844) as phone:
+        with opened(browser, url, directory=tmp_path, width=390, height=844) as phone:
             phone.page.mouse.wheel(0, 2000)
             phone.page.get_by_role("button", name="Stop all").click()
             expect(phone.page.get_by_role("alert")).to_contain_text("confirmed by all that can be reached")

@@ -9,6 +9,7 @@ import httpx
 import jsonschema
 
 from firmware_protocol.units import NodeId
+from mapper.access import Role
 from mapper.api.app import create_app, create_unguarded_app
 from mapper.api.event_stream import EventStream
 from tests.mapper.fake_gateway import FakeGateway, free_port
@@ -18,9 +19,12 @@ BASE = "http://127.0.0.1"
 
 
 @asynccontextmanager
-async def client_of(side: Side) -> AsyncIterator[httpx.AsyncClient]:
+async def client_of(side: Side, *, role: Role | None = Role.OPERATOR) -> AsyncIterator[httpx.AsyncClient]:
+    """Yield a client that shows the token of a role's holder (anna is the operator), or none."""
     app = create_app(side.services, stream=EventStream(side.changes), allowed_hosts={"127.0.0.1", "localhost"})
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app, raise_app_exceptions=False), base_url=BASE) as client:
+    headers = {} if role is None else {"Authorization": f"Bearer {side.tokens[role].text}"}
+    transport = httpx.ASGITransport(app=app, raise_app_exceptions=False)
+    async with httpx.AsyncClient(transport=transport, base_url=BASE, headers=headers) as client:
         yield client
 
 
