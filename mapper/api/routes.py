@@ -81,7 +81,7 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
     @router.get("/api/v1/encounters", tags=["records"], responses=describe_answers(EncounterList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
     async def get_encounters(
         after: Annotated[int, Query(ge=0, le=_MAX_CURSOR, description="The cursor of the page before")] = 0,
-        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+        limit: Annotated[int, Query(ge=1, le=1000, description="Records, at most")] = 100,
     ) -> Response:
         """List records of encounters in the order in which they were last changed; a void one was a part of another and counts no more.
 
