@@ -41,6 +41,7 @@ from mapper.errors import (
 PROBLEM_TYPE: Final = "application/problem+json"
 
 STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
+    AlertNotFoundError: HTTPStatus.NOT_FOUND,
     NoTokenError: HTTPStatus.UNAUTHORIZED,
     RoleError: HTTPStatus.FORBIDDEN,
     RateLimitError: HTTPStatus.TOO_MANY_REQUESTS,
@@ -48,7 +49,6 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     TokenNameError: HTTPStatus.UNPROCESSABLE_ENTITY,
     TokenNotFoundError: HTTPStatus.NOT_FOUND,
     LastAdminError: HTTPStatus.CONFLICT,
-    AlertNotFoundError: HTTPStatus.NOT_FOUND,
     BiobotNotFoundError: HTTPStatus.NOT_FOUND,
     CommandNotFoundError: HTTPStatus.NOT_FOUND,
     HoleNotFoundError: HTTPStatus.NOT_FOUND,
