@@ -1,9 +1,12 @@
-"""A client that a generator made of the OpenAPI document alone calls every operation of a real server."""
+"""A client that a generator made of the OpenAPI document alone calls every operation of a real server, and so do the examples."""
 
+import argparse
 import asyncio
 import importlib
 import inspect
 import json
+import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -23,6 +26,7 @@ from tests.mapper.serving import serving, token_of
 from tests.mapper.test_service import until
 from tests.mapper.web_side import openapi_of
 
+ROOT: Final = Path(__file__).parent.parent.parent
 _CONFIG: Final = {
     "post_hooks": [],
     # What the generator does not know by name.
@@ -76,6 +80,28 @@ def find(package: str, operation: dict[str, Any]) -> ModuleType:
     return importlib.import_module(f"{package}.api.{tag + '_' if tag == 'map' else tag}.{operation['operationId']}")
 
 
+def examples() -> list[str]:
+    """Return the calls of curl in docs/rest.md."""
+    blocks = re.findall(r"```sh\n(.*?)```", (ROOT / "docs" / "rest.md").read_text(), re.DOTALL)
+    return [line for block in blocks for line in block.splitlines()]
+
+
+def run_example(example: str, *, url: str, token: str) -> httpx.Response:
+    """Send what curl would."""
+    program, *rest = shlex.split(example.replace("$URL", url).replace("$TOKEN", token))
+    assert program == "curl"
+    parser = argparse.ArgumentParser()
+    parser.add_argument("url")
+    parser.add_argument("-X", dest="method", default="GET")
+    parser.add_argument("-H", dest="headers", action="append", default=[])
+    parser.add_argument("-d", dest="content")
+    parser.add_argument("-o", dest="output")
+    parser.add_argument("--compressed", action="store_true")
+    asked = parser.parse_args(rest)
+    headers = dict(one.split(": ", 1) for one in asked.headers)
+    return httpx.request(asked.method, asked.url, headers=headers, content=asked.content)
+
+
 def test_a_generated_client_calls_every_operation(tmp_path: Path, package: str) -> None:
     port = free_port()
     with ExitStack() as stack, FakeGateway(port=port) as gateway:
@@ -123,6 +149,11 @@ def test_a_generated_client_calls_every_operation(tmp_path: Path, package: str) 
                 done.add(name)
             assert call("get_betti").parsed.hole_count.value == call("get_holes").parsed.holes[0].number == 1
             assert call("delete_pin", name="door").status_code == HTTPStatus.NO_CONTENT
+            told = examples()
+            assert len(told) >= 10
+            for example in told:
+                answer = run_example(example, url=url.rstrip("/"), token=token_of(tmp_path))
+                assert answer.is_success, (example, answer.text)
             unknown = call("delete_pin", name="door")
             assert (unknown.status_code, unknown.parsed.status) == (HTTPStatus.NOT_FOUND, 404)
 
