@@ -18,13 +18,14 @@ import numpy as np
 
 from mapper.changes import Changes, Topic
 from mapper.config import RecipeConfig, make_recipe
-from mapper.errors import JobError, NoResultError, StoreError, TaskNotFoundError, TooManyError, WorkerDiedError
+from mapper.errors import JobError, StoreError, TooManyError, WorkerDiedError
 from mapper.log import EventLog
 from mapper.map_job import TooFew
 from mapper.period_job import PeriodMap, make_period_map
 from mapper.pin_board import PinBoard
 from mapper.record_columns import EncounterRows
 from mapper.replica import StoreDelta
+from mapper.request_errors import NoResultError, TaskNotFoundError
 from mapper.served_bytes import ServedBytes
 from mapper.store import Store
 from mapper.store_thread import StoreThread

@@ -13,29 +13,33 @@ from starlette.exceptions import HTTPException
 from mapper.access import LastAdminError, NoTokenError, RateLimitError, RoleError, TokenFileError, TokenNameError, TokenNotFoundError
 from mapper.api.command_schemas import STOP_PATH
 from mapper.errors import (
-    AlertNotFoundError,
     BiobotNotFoundError,
     CommandNotFoundError,
     CommandRefusedError,
     EngineMissingError,
     GatewayAwayError,
-    HoleNotFoundError,
     JobError,
     MapError,
-    MapNotFoundError,
     NoMapYetError,
-    NoResultError,
     OrderRefusedError,
-    PeriodError,
-    PinNotFoundError,
-    PinRefusedError,
     PlaceError,
     RouteError,
     StopUnansweredError,
     StoreError,
-    TaskNotFoundError,
     TooManyError,
     WorkerDiedError,
+)
+from mapper.request_errors import (
+    AlertNotFoundError,
+    HoleNotFoundError,
+    LengthsNotKeptError,
+    MapNotFoundError,
+    NoResultError,
+    OtherVersionError,
+    PeriodError,
+    PinNotFoundError,
+    PinRefusedError,
+    TaskNotFoundError,
 )
 
 PROBLEM_TYPE: Final = "application/problem+json"
@@ -59,11 +63,13 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     NoResultError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
     PeriodError: HTTPStatus.UNPROCESSABLE_ENTITY,
+    OtherVersionError: HTTPStatus.CONFLICT,
     MapNotFoundError: HTTPStatus.NOT_FOUND,
     PlaceError: HTTPStatus.UNPROCESSABLE_ENTITY,
     RouteError: HTTPStatus.NOT_FOUND,
     TooManyError: HTTPStatus.TOO_MANY_REQUESTS,
     NoMapYetError: HTTPStatus.SERVICE_UNAVAILABLE,
+    LengthsNotKeptError: HTTPStatus.SERVICE_UNAVAILABLE,
     GatewayAwayError: HTTPStatus.SERVICE_UNAVAILABLE,
     StopUnansweredError: HTTPStatus.SERVICE_UNAVAILABLE,
     WorkerDiedError: HTTPStatus.SERVICE_UNAVAILABLE,
@@ -74,6 +80,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
 
 _RETRY_AFTER_S: Final[Mapping[type[MapError], int]] = {
     NoMapYetError: 1,
+    LengthsNotKeptError: 5,
     WorkerDiedError: 1,
     TooManyError: 1,
     GatewayAwayError: 5,

@@ -9,7 +9,7 @@ from starlette.responses import StreamingResponse
 from mapper.api.descriptions import describe_answers
 from mapper.api.services import Services
 from mapper.encounter_export import Period
-from mapper.errors import PeriodError
+from mapper.request_errors import PeriodError
 
 CSV_TYPE: Final = "text/csv"
 PARQUET_TYPE: Final = "application/vnd.apache.parquet"
