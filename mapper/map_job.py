@@ -6,12 +6,14 @@ imported where it runs: the serving process needs these functions only by name.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
+from mapper.errors import MapDocumentError
 from mapper.named_pins import Framing, NamedPin
 from mapper.record_columns import to_unsigned
 from mapper.replica import Replica, StoreDelta
@@ -112,7 +114,8 @@ def make_map(
         return TooFew(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=where, n_ahead=n_ahead, coverage_json=coverage)
     result, fit = compute_map(table, spells, recipe), None
     if previous is not None:
-        result, fit = align_map(result, read_marks(previous, source="the map before"))
+        with suppress(MapDocumentError):  # another version of the program may have written it in another form
+            result, fit = align_map(result, read_marks(previous, source="the map before"))
     n_before, last_encounter_ns = len(known) - len(table), int(table.t_end_ns.max())
     facts: JsonObject = {
         "window_s": None if window_ns is None else window_ns / _NS_PER_S,
