@@ -51,7 +51,8 @@ class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
 
     The map is of ``n_encounters``, the last of which ended at ``last_encounter_ns`` [wall clock]; ``n_before`` were over at ``since_ns``:
     when the landmarks were set or the window begins, whichever is later; None where there is neither. ``n_ahead`` of all that are known
-    were dated ahead of this machine's clock. ``framing``: where the pins known then are on it.
+    were dated ahead of this machine's clock. ``framing``: where the pins known then are on it. ``lengths``: between its points, as
+    `encode_lengths` writes them; None where they were not kept.
     """
 
     map_json: bytes
@@ -65,6 +66,7 @@ class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
     since_ns: int | None
     last_encounter_ns: int
     n_ahead: int
+    lengths: bytes | None = None
 
 
 def make_map(
@@ -91,6 +93,7 @@ def make_map(
     """
     from mapper.coverage import describe_coverage  # noqa: PLC0415  # see the module's docstring
     from mapper.interval_lists import describe_barcode, describe_diagram  # noqa: PLC0415  # same
+    from mapper.length_shares import encode_lengths  # noqa: PLC0415  # same
     from mapper.map_alignment import align_map  # noqa: PLC0415  # same
     from mapper.map_codec import encode_map  # noqa: PLC0415  # same
     from mapper.map_framing import frame_map  # noqa: PLC0415  # same
@@ -135,6 +138,7 @@ def make_map(
         since_ns=since_ns,
         last_encounter_ns=last_encounter_ns,
         n_ahead=n_ahead,
+        lengths=encode_lengths(result),
     )
 
 
