@@ -213,7 +213,7 @@ class Coordinator:
 
     def _check_open(self) -> None:
         if not self.is_up:
-            raise RadioUnavailableError(radio=self.radio, reason="it is not connected")
+            raise RadioUnavailableError(radio=self.radio, reason=self._outage.why_down)
 
     async def _hold(self, transport: Transport) -> None:
         """Keep the dongle open on an open port; ends with the ``TransportError`` that ended it."""

@@ -249,7 +249,9 @@ class Intake:
 
     def _restore(self, now_ns: int) -> None:
         memories = [msgspec.msgpack.decode(body, type=NodeMemory) for body in self._reader.read_nodes()]
-        self._nodes.restore(memories)
+        instant_of_run = self._journal.identity.instant_of_run
+        heard_ns = {node: instant_of_run(ran_ns) for node, ran_ns in self._reader.read_last_heard().items()}
+        self._nodes.restore(memories, heard_ns=heard_ns, now_ns=now_ns)
         for memory in memories:
             if memory.clock is not None and memory.clock.anchor_ns in self._issuer.earlier_anchors:
                 self._clocks.restore(memory.clock, node=memory.node, boot=memory.boot, now_ns=now_ns)

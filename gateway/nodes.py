@@ -1,7 +1,7 @@
 """What is known of every biobot: who it is, how it is reached, how it fares. Pure; at most 65,535 of them, by their number."""
 
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import msgspec
@@ -71,8 +71,11 @@ class Node:
     """Latest tick of this boot at which it is known to have sent."""
     last_heard_wall_ns: Nanoseconds
     last_heard_ns: int
+    """Monotonic; 0: not since the gateway started."""
     rssi_dbm: RssiDbm
     lqi: int
+    heard_before_ns: int = 0
+    """When an earlier process heard it last, or later than that [monotonic]."""
     is_introduced: bool = False
     eui64: int = 0
     firmware: int = 0
@@ -299,8 +302,11 @@ class NodeBook:
             node.node: frozenset(entry.node for entry in node.neighbours) for node in self._nodes.values() if node.neighbours is not None
         }
 
-    def restore(self, memories: Iterable[NodeMemory]) -> None:
-        """Know again the biobots of an earlier process; they count as not heard since. An address that two of them had is none's."""
+    def restore(self, memories: Iterable[NodeMemory], *, heard_ns: Mapping[NodeId, int], now_ns: int) -> None:
+        """Know again the biobots of an earlier process; they count as not heard since. An address that two of them had is none's.
+
+        ``heard_ns`` has when that process heard each last, or later; who is not in it may have been heard until now.
+        """
         kept = list(memories)
         believed = self._whereabouts.restore(
             [
@@ -318,6 +324,7 @@ class NodeBook:
                 sent_ms=Milliseconds(0),
                 last_heard_wall_ns=Nanoseconds(0),
                 last_heard_ns=0,
+                heard_before_ns=heard_ns.get(memory.node, now_ns),
                 rssi_dbm=RssiDbm(0),
                 lqi=0,
                 is_introduced=memory.is_introduced,

@@ -21,6 +21,7 @@ class Outage:
         self._health = health
         self._on_state = on_state
         self._since_ns: int | None = None
+        self._reason = ""
         self._n_attempts = 0
         self._told: set[str] = set()
         health.set_radio(radio, RadioState.CONNECTING)
@@ -30,6 +31,11 @@ class Outage:
         """The radio is down."""
         return self._since_ns is not None
 
+    @property
+    def why_down(self) -> str:
+        """Say why the radio takes nothing, for whoever is refused."""
+        return f"it is not connected ({self._reason})" if self._reason else "it is not connected"
+
     def attempt(self) -> None:
         """Count an attempt to bring the radio up."""
         self._n_attempts += 1
@@ -38,6 +44,7 @@ class Outage:
 
     def begin(self, reason: str) -> None:
         """Say that the radio is down; while it is, only the reason is kept."""
+        self._reason = reason
         self._health.set_radio(self._radio, RadioState.DOWN, reason=reason)
         self._health.count("radio.faults")
         if self._since_ns is not None:
@@ -59,7 +66,7 @@ class Outage:
     def end(self) -> None:
         """Say that the radio is up."""
         down_s = 0.0 if self._since_ns is None else round((time.monotonic_ns() - self._since_ns) / NS_PER_S, 1)
-        n_attempts, self._since_ns, self._n_attempts = self._n_attempts, None, 0
+        n_attempts, self._since_ns, self._n_attempts, self._reason = self._n_attempts, None, 0, ""
         self._health.set_radio(self._radio, RadioState.UP)
         self._health.count("radio.sessions")
         _log.info("radio.up", radio=self._radio, attempts=n_attempts, down_s=down_s)

@@ -185,6 +185,10 @@ class JournalReader:
             for node, boot, at, above in rows
         ]
 
+    def read_last_heard(self) -> dict[NodeId, int]:
+        """Return when each biobot was last heard, by how long gateways had run on the journal by then [ns]."""
+        return {NodeId(node): ran_ns for node, ran_ns in self._connection.execute("SELECT node, max(ran_ns) FROM windows GROUP BY node")}
+
     def read_nodes(self) -> list[bytes]:
         """Return what is known of biobots, each as the bytes it was written with."""
         return [body for (body,) in self._connection.execute("SELECT body FROM nodes ORDER BY node")]

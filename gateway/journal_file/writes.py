@@ -120,4 +120,8 @@ class JournalIdentity:
         """
         if entry.mono_ns is not None and entry.boot >= self.clock_boot:
             return min(entry.mono_ns, self.opened_ns)
-        return self.opened_ns - max(0, self.ran_ns - entry.ran_ns)
+        return self.instant_of_run(entry.ran_ns)
+
+    def instant_of_run(self, ran_ns: int) -> int:
+        """Return the latest monotonic instant at which gateways can have run for so long [ns]: only time in which one ran is known."""
+        return self.opened_ns - max(0, self.ran_ns - ran_ns)

@@ -23,6 +23,7 @@ from gateway.stimulation.commands import Command, CommandBook
 from gateway.stimulation.outside import CommandSender, Sending
 from gateway.stimulation.parts import stop_of
 from gateway.stimulation.pulses import pulse_of
+from gateway.stimulation.silence import no_answer
 from gateway.stimulation.telling import StageTeller
 
 _log = EventLog(__name__)
@@ -138,21 +139,23 @@ class Guards:
     def _rounds_ns(self) -> int:
         return self._table.stop_attempts * int(self._table.stop_retry_s * NS_PER_S)
 
-    def _send(self, again: Command, *, n_left: int, end_ns: int) -> None:
+    def _send(self, again: Command, *, n_left: int, end_ns: int, why_unsent: str = "") -> None:
         if again.is_final:
             if not again.finished.is_set():
                 self._book.finish(again)  # a newer stop has taken its place
             return
         if not n_left:
-            self._teller.tell(again, Stage.UNKNOWN, reason=f"no answer to {self._table.stop_attempts} stops; look at the animal")
+            reason = no_answer(n_sent=len(again.sendings), why_unsent=why_unsent)
+            self._teller.tell(again, Stage.UNKNOWN if again.sendings else Stage.FAILED, reason=reason)
             self._book.finish(again)
             return
         bare = frames.stop(again, pulse_of(None, self._table), has_train=False)
-        node, n_before = again.request.node, len(again.sendings)
+        node, n_before, why_unsent = again.request.node, len(again.sendings), ""
         try:
             again.sendings.append(self._sender.send(node, bare, is_urgent=True))
         except RadioUnavailableError as error:
-            _log.debug("command.unsent_stop", node=node, reason=str(error))
+            why_unsent = str(error)
+            _log.debug("command.unsent_stop", node=node, reason=why_unsent)
         again.sendings += self._sender.send_elsewhere(node, bare)
         n_again = len(again.sendings) - n_before
         if not again.stages:
@@ -160,7 +163,11 @@ class Guards:
             n_again -= 1
         for _ in range(n_again):
             self._teller.note(again, SENT_AGAIN)
-        asyncio.get_running_loop().call_later(self._table.stop_retry_s, lambda: self._send(again, n_left=n_left - 1, end_ns=end_ns))
+
+        def send_again() -> None:
+            self._send(again, n_left=n_left - 1, end_ns=end_ns, why_unsent=why_unsent)
+
+        asyncio.get_running_loop().call_later(self._table.stop_retry_s, send_again)
 
     def _settle(self, again: Command) -> None:
         if not again.is_final and not again.reply.cancelled():

@@ -1,5 +1,7 @@
 """The stop of everybody: by broadcast over every radio at once, then biobot by biobot, until those within reach have confirmed.
 
+Within reach is who was heard in the last minutes, by an earlier process too: whoever an earlier one left walking walks on (docs/stop.md).
+
 All of it has one number on the wire, so that a biobot that heard several of its frames obeys once. None has a train: the stimulation of a
 whole swarm is no way to end one. Those under controlled motion come first, and each radio gets a next frame when it has sent one of those
 before: the broadcast of another stop waits for few of them. Of several stops of everybody the newest alone goes on from biobot to biobot.
@@ -25,6 +27,7 @@ from gateway.stimulation.commands import Command, CommandBook
 from gateway.stimulation.outside import CommandSender, Sending
 from gateway.stimulation.parts import stop_of
 from gateway.stimulation.pulses import pulse_of
+from gateway.stimulation.silence import name_some, no_answer
 from gateway.stimulation.stops import Stops
 from gateway.stimulation.telling import StageTeller
 from gateway.stimulation.turns import Turns
@@ -40,8 +43,6 @@ _TOLD_TOGETHER = 4
 _GIVEN_WAY = "a newer stop of all has taken its place; that one's is the answer"
 _SPARE_S = 1.0
 """Beside what the rounds take, until the last stage is told."""
-
-_NAMED = 10
 
 
 class StopAll:
@@ -116,7 +117,7 @@ class StopAll:
         for name in [*controlled, *(node.node for node in self._nodes.all() if node.node not in controlled)]:
             node = self._nodes.find(name)
             if node is not None:
-                is_near = bool(node.last_heard_ns) and node.last_heard_ns >= now_ns - REACHABLE_NS
+                is_near = (node.last_heard_ns or node.heard_before_ns) >= now_ns - REACHABLE_NS
                 yield is_near or name in controlled, stop_of(whole.request, name, suffix=str(name))
 
     def _free_key(self, command_id: str) -> str:
@@ -150,12 +151,19 @@ class _Sweep:
         self._answers = answers
         self._now_ns = now_ns
         self._within_reach: list[Command] = []
-        self._beyond: list[Command] = []
+        self._beyond: dict[NodeId, Command] = {}
         self._hears: dict[NodeId, Callable[[object], None]] = {}
         self._n_silent = 0
+        """Those within reach that have not answered."""
+        self._n_asked_beyond = 0
+        """Others that were sent to and have not answered."""
+        self._retry_ns = int(table.stop_retry_s * NS_PER_S)
+        self._asked_until_ns = 0
+        """By then whoever was sent to for the first time has had the time of an answer."""
         self._news = asyncio.Event()
         self._end_ns = self._sending_ns = 0
         self._why_unsent = "no radio is up"
+        self._why_unsent_to: dict[NodeId, str] = {}
 
     def broadcast(self) -> None:
         """Send to everybody over every radio."""
@@ -167,13 +175,16 @@ class _Sweep:
         """Tell that the broadcast is out; the deadline reckons with rounds of so many frames."""
         self._sending_ns = int(n_known * FRAME_S * NS_PER_S)
         round_s = self._table.stop_retry_s + n_known * FRAME_S
-        self._end_ns = self._now_ns() + int((self._table.stop_attempts * round_s + _SPARE_S) * NS_PER_S)
+        self._end_ns = self._now_ns() + int((self._table.stop_attempts * round_s + _SPARE_S) * NS_PER_S) + self._retry_ns
         self._teller.tell(self._whole, Stage.ACCEPTED, deadline_ns=self._end_ns)
 
     def add(self, part: Command, *, is_near: bool) -> None:
         """Take the stop of one biobot; one that is not within reach is sent to once, and not waited for."""
         self.parts.append(part)
-        (self._within_reach if is_near else self._beyond).append(part)
+        if is_near:
+            self._within_reach.append(part)
+        else:
+            self._beyond[part.request.node] = part
         self._n_silent += is_near
         hear = self._hears[part.request.node] = partial(self._on_reply, part, is_near)
         part.reply.add_done_callback(hear)
@@ -189,18 +200,17 @@ class _Sweep:
 
     async def run(self) -> None:
         """Send and wait, round after round, until all within reach have confirmed."""
-        retry_ns = int(self._table.stop_retry_s * NS_PER_S)
         for attempt in range(self._table.stop_attempts):
             if attempt and not self.has_given_way:
                 self.broadcast()
             # Those first to whom nothing was sent yet: a radio that is slow may have come to an end before them.
-            wanted = sorted([*self._silent(), *self._unsent()], key=_n_sent)
-            await self._send_round(wanted, retry_ns=retry_ns)
+            await self._send_round(sorted([*self._silent(), *self._unsent()], key=_n_sent))
             if self._is_over:
                 break
+        await self._wait(lambda: self._has_all_answers, until_ns=self._asked_until_ns)
         await self._end()
 
-    async def _send_round(self, parts: list[Command], *, retry_ns: int) -> None:
+    async def _send_round(self, parts: list[Command]) -> None:
         """Send stops over all their radios at once, and wait for the answers; a radio that is slow goes on until the round ends."""
         lanes = [asyncio.create_task(self._send_by(radio, its)) for radio, its in self._by_radio(parts).items()]
         for lane in lanes:
@@ -211,7 +221,7 @@ class _Sweep:
 
         try:
             await self._wait(has_sent, until_ns=self._now_ns() + self._sending_ns)
-            await self._wait(lambda: self._is_over, until_ns=self._now_ns() + retry_ns)
+            await self._wait(lambda: self._is_over, until_ns=self._now_ns() + self._retry_ns)
         finally:
             for lane in lanes:
                 lane.cancel()
@@ -220,7 +230,14 @@ class _Sweep:
     @property
     def _is_over(self) -> bool:
         """There is nothing more to wait for."""
-        return self.has_given_way or not (self._n_silent or not self._whole.is_radio_confirmed)
+        if self.has_given_way:
+            return True
+        has_asked = not self._n_asked_beyond or self._now_ns() >= self._asked_until_ns
+        return has_asked and not self._n_silent and self._whole.is_radio_confirmed
+
+    @property
+    def _has_all_answers(self) -> bool:
+        return self.has_given_way or not (self._n_silent or self._n_asked_beyond)
 
     def _by_radio(self, parts: list[Command]) -> dict[str, list[Command]]:
         lanes: dict[str, list[Command]] = {}
@@ -240,16 +257,12 @@ class _Sweep:
             if not part.is_final:
                 self._stop(part, radio)
 
-    def _unconfirmed(self) -> list[Command]:
-        """Return those within reach that did not confirm, when all have ended: silent, unwilling, or left to newer stops."""
-        return [part for part in self._within_reach if not part.stages or part.stages[-1].stage is not Stage.BIOBOT_CONFIRMED]
-
     def _silent(self) -> list[Command]:
         return [part for part in self._within_reach if not part.is_final]
 
     def _unsent(self) -> list[Command]:
         """Return those out of reach that nothing was sent to yet."""
-        return [part for part in self._beyond if not part.is_final and not part.sendings]
+        return [part for part in self._beyond.values() if not part.is_final and not part.sendings]
 
     def _message(self, command: Command) -> Stimulate:
         return frames.stop(command, pulse_of(command.request.pulse, self._table), has_train=False)
@@ -259,8 +272,12 @@ class _Sweep:
         try:
             sending = self._sender.send_over(radio, part.request.node, self._message(part))
         except RadioUnavailableError as error:
-            self._why_unsent = str(error)
+            self._why_unsent = self._why_unsent_to[part.request.node] = str(error)
         else:
+            self._why_unsent_to.pop(part.request.node, None)
+            if not part.sendings:
+                self._asked_until_ns = self._now_ns() + self._retry_ns
+                self._n_asked_beyond += part.request.node in self._beyond
             part.sendings.append(sending)
             self._turns.begin(radio, sending)
         if not part.stages:
@@ -294,6 +311,7 @@ class _Sweep:
             self._teller.tell(part, Stage.ACCEPTED, deadline_ns=self._end_ns)
         self._answers.settle(part)
         self._n_silent -= is_near
+        self._n_asked_beyond -= not is_near and bool(part.sendings)
         self._news.set()
 
     async def _end(self) -> None:
@@ -305,30 +323,42 @@ class _Sweep:
                 continue  # of what was told nothing there is no end
             if self.has_given_way:
                 self._teller.tell(part, Stage.UNKNOWN, reason=_GIVEN_WAY)
-            elif part.sendings or self._whole.sendings:
-                self._teller.tell(part, Stage.UNKNOWN, reason=f"no answer to {self._table.stop_attempts} stops; look at the animal")
-            else:
-                self._teller.tell(part, Stage.FAILED, reason=self._why_unsent)
-        if self._whole.is_final:
-            return  # the gateway ends
-        silent = self._unconfirmed()
-        n_near, n_far = len(self._within_reach), len(self._beyond)
-        beyond = f"; {n_far} others were not heard of late, and were sent one stop each" if n_far else ""
+                continue
+            n_sent, n_broadcasts = len(part.sendings), len(self._whole.sendings)
+            why_unsent = self._why_unsent_to.get(part.request.node, "")
+            reason = no_answer(n_sent=n_sent, n_broadcasts=n_broadcasts, why_unsent=why_unsent)
+            self._teller.tell(part, Stage.UNKNOWN if n_sent or n_broadcasts else Stage.FAILED, reason=reason)
+        if not self._whole.is_final:  # else the gateway ends
+            stage, reason = self._outcome()
+            self._teller.tell(self._whole, stage, reason=reason)
+
+    def _outcome(self) -> tuple[Stage, str]:
+        """Return the last stage of the whole, when its parts have ended, and the reason.
+
+        Who did not confirm was silent, unwilling, or left to newer stops. That nobody did says nothing of those who are known.
+        """
         if not any(one.sendings for one in (self._whole, *self.parts)):
-            self._teller.tell(
-                self._whole, Stage.FAILED, reason=f"nothing could be sent: {self._why_unsent}; look at the animals and the radios"
-            )
-        elif self.has_given_way:
-            self._teller.tell(self._whole, Stage.UNKNOWN, reason=_GIVEN_WAY)
-        elif silent:
-            names = ", ".join(str(part.request.node) for part in silent[:_NAMED])
-            more = f" and {len(silent) - _NAMED} more" if len(silent) > _NAMED else ""
-            reason = f"{len(silent)} of {n_near} biobots within reach did not confirm: {names}{more}; look at them{beyond}"
-            self._teller.tell(self._whole, Stage.UNKNOWN, reason=reason)
-        elif not self._whole.is_radio_confirmed and not n_near:
-            self._teller.tell(self._whole, Stage.UNKNOWN, reason=f"no radio says that it has told everybody; look at the animals{beyond}")
-        else:
-            self._teller.tell(self._whole, Stage.BIOBOT_CONFIRMED, reason=f"all {n_near} biobots within reach have confirmed{beyond}")
+            return Stage.FAILED, f"nothing could be sent: {self._why_unsent}; look at the animals and the radios"
+        if self.has_given_way:
+            return Stage.UNKNOWN, _GIVEN_WAY
+        silent = [part.request.node for part in self._within_reach if not _has_confirmed(part)]
+        beyond = [part.request.node for part in self._beyond.values() if not _has_confirmed(part)]
+        others = f"{len(beyond)} others were not heard of late, and did not confirm either: {name_some(beyond)}" if beyond else ""
+        n_confirmed = len(self.parts) - len(silent) - len(beyond)
+        if silent:
+            reason = f"{len(silent)} of {len(self._within_reach)} biobots within reach did not confirm: {name_some(silent)}; look at them"
+            return Stage.UNKNOWN, "; ".join(filter(None, (reason, others)))
+        if beyond and not n_confirmed:
+            return Stage.UNKNOWN, f"nobody has confirmed: none of {name_some(beyond)} was heard of late; look at them"
+        if self.parts:
+            return Stage.BIOBOT_CONFIRMED, "; ".join(filter(None, (f"all {n_confirmed} biobots within reach have confirmed", others)))
+        if self._whole.is_radio_confirmed:
+            return Stage.BIOBOT_CONFIRMED, "no biobot is known here; whoever heard the broadcast stands"
+        return Stage.UNKNOWN, "no radio says that it has told everybody; look at the animals"
+
+
+def _has_confirmed(part: Command) -> bool:
+    return bool(part.stages) and part.stages[-1].stage is Stage.BIOBOT_CONFIRMED
 
 
 def _n_sent(part: Command) -> int:

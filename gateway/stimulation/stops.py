@@ -22,6 +22,7 @@ from gateway.stimulation.guards import Guards
 from gateway.stimulation.ledger import TrainLedger
 from gateway.stimulation.outside import CommandSender
 from gateway.stimulation.pulses import Pulse, pulse_of, pulse_refusal
+from gateway.stimulation.silence import no_answer
 from gateway.stimulation.stimuli import Flight
 from gateway.stimulation.telling import TAKEN_BACK, StageTeller
 
@@ -72,7 +73,7 @@ class Stops:
                 n_before = len(command.sendings)
                 if attempt == 0:
                     self.overtake(command)  # before it is sent: a port that takes it may take the next frame too
-                reason = self._send(command, self._fit_pulse(command) if n_before == 0 else None) or reason
+                reason = self._send(command, self._fit_pulse(command) if n_before == 0 else None)
                 if attempt == 0:
                     self._make_room(command)
                 self._tell_sent(command, n_before=n_before, end_ns=end_ns)
@@ -82,10 +83,8 @@ class Stops:
                 self._withdraw_train(command)
         finally:
             self._withdraw_train(command)
-        if command.sendings:
-            self._teller.tell(command, Stage.UNKNOWN, reason=f"no answer to {self._table.stop_attempts} stops; look at the animal")
-        else:
-            self._teller.tell(command, Stage.FAILED, reason=reason)
+        reason = no_answer(n_sent=len(command.sendings), why_unsent=reason)
+        self._teller.tell(command, Stage.UNKNOWN if command.sendings else Stage.FAILED, reason=reason)
 
     def may_give_train(self, node: NodeId) -> bool:
         """Whether a stop may have a train: at most one of each biobot is not on disk yet, for one is what a restart reckons with."""

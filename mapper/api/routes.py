@@ -8,8 +8,9 @@ import time
 from http import HTTPStatus
 from typing import Annotated, Final
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 
+from mapper.access import person_of
 from mapper.api.alert_routes import add_alert_routes
 from mapper.api.command_routes import add_command_routes, add_mission_routes
 from mapper.api.descriptions import describe_answers
@@ -102,9 +103,10 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
 
 def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream) -> None:
     @router.get("/api/v1/events", tags=["watch"], responses=describe_answers("text/event-stream", (HTTPStatus.TOO_MANY_REQUESTS,)))
-    async def get_events() -> Response:
+    async def get_events(request: Request) -> Response:
         """Tell of changes as server-sent events: the version numbers of map, records, biobots, commands and mission, the newest only."""
-        return stream.open()
+        person, register = person_of(request), services.access.register
+        return stream.open(is_welcome=lambda: register.is_welcome(person))
 
     @router.get("/healthz", tags=["watch"], responses=describe_answers(HealthView))
     async def get_health() -> Response:

@@ -34,12 +34,15 @@ class Given:
         The gateway knew the biobot; the radio that heard it last was up.
     is_commander_there
         Or it named none.
+    n_known
+        Biobots that the gateway knew.
     """
 
     age_ns: int
     is_known: bool
     can_send: bool
     is_commander_there: bool
+    n_known: int
 
 
 @dataclass(slots=True, eq=False, kw_only=True)

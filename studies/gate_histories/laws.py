@@ -36,6 +36,7 @@ def violations(world: World) -> list[str]:
         found += _orders(world, biobot.node, biobot.log)
     for call in world.calls:
         found += _answers(world, call)
+        found += _of_all(world, call)
     found += _record(world)
     return found
 
@@ -297,6 +298,18 @@ def _answers(world: World, call: Call) -> Iterator[str]:
         yield f"no reason for programs: {_named(call)}: {final.reason}"
     if any(frame.call is call and frame.written_ns is not None for frame in world.air.frames):
         yield f"refused and sent: {_named(call)}: {final.reason}"
+
+
+def _of_all(world: World, call: Call) -> Iterator[str]:
+    """That all have confirmed a stop is not said where the gateway knew somebody and nobody was stopped."""
+    confirmed_ns = next((at for at, stage in call.stages if stage.stage is Stage.BIOBOT_CONFIRMED), None)
+    is_of_all = call.request.action is StimulationAction.STOP_ALL and call.is_new
+    if not is_of_all or confirmed_ns is None or call.given is None or not call.given.n_known:
+        return
+    wires = {frame.message.command for frame in world.air.frames if frame.call is not None and _is_of(frame.call, call)}
+    logs = (one for biobot in world.biobots.values() for one in biobot.log)
+    if not any(one.mode is WireMode.S and one.command in wires and one.begin_ns <= confirmed_ns for one in logs):
+        yield f"nobody stopped: {_named(call)} was confirmed, and {call.given.n_known} biobots were known"
 
 
 def _record(world: World) -> Iterator[str]:

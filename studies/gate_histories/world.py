@@ -257,7 +257,8 @@ class World:
         loop = VirtualLoop(self.time, boot_ns=boot_ns)
         loop.set_exception_handler(self._note_fault)
         nodes = NodeBook(gateway=_GATEWAY)
-        nodes.restore(msgspec.msgpack.decode(body, type=NodeMemory) for body in self.disk.nodes.values())
+        memories = [msgspec.msgpack.decode(body, type=NodeMemory) for body in self.disk.nodes.values()]
+        nodes.restore(memories, heard_ns={}, now_ns=self.time.now_ns - boot_ns)
         journal = LiveJournal(loop=loop, disk=self.disk, true_time=self.time, appended=self.appended)
 
         def now_ns() -> int:
@@ -328,6 +329,7 @@ class World:
                 is_known=running.nodes.find(request.node) is not None,
                 can_send=running.sender.can_send(request.node),
                 is_commander_there=not request.commander or request.commander in self.commanders,
+                n_known=len(running.nodes),
             )
             await running.gate.handle(request, listen)
 

@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +14,7 @@ from gateway.config import StimulationTable
 from gateway.errors import RadioUnavailableError
 from gateway.health import Health
 from gateway.journal import Journal
-from gateway.nodes import NodeBook
+from gateway.nodes import NodeBook, NodeMemory
 from gateway.radio import Fate, RadioOutcome
 from gateway.stimulation import StimulationGate
 from tests.gateway.harness import a_request
@@ -133,6 +133,25 @@ class Site:
         request = a_command(node, action, command_id=command_id, pulse=pulse, commander=commander, hold_ms=hold_ms)
         await self.gate.handle(request, stages.append)
         return stages
+
+
+def remember(site: Site, *nodes: int, heard_ns: Mapping[NodeId, int] | None = None) -> None:
+    """Let the gate know biobots of an earlier process, each heard just before the start, or at an instant."""
+    memories = [
+        NodeMemory(
+            node=NodeId(node),
+            boot=BootId(1),
+            radio="r",
+            address=ShortAddress(1000 + node),
+            eui64=node,
+            firmware=1,
+            beacon_period_ms=0,
+            capabilities=1,
+            is_introduced=True,
+        )
+        for node in nodes
+    ]
+    site.nodes.restore(memories, heard_ns=heard_ns or {}, now_ns=time.monotonic_ns())
 
 
 def a_command(

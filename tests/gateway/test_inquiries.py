@@ -62,13 +62,14 @@ class _Site:
         self.inquirer = Inquirer(sender=self.air, nodes=self.nodes, clocks=self.clocks, sync_period_s=30, health=Health())
 
     def remember(self, places: list[tuple[int, int]]) -> None:
-        self.nodes.restore(
+        memories = [
             NodeMemory(
                 node=NodeId(node), boot=BootId(1), radio="r", address=ShortAddress(address), eui64=node, firmware=1, beacon_period_ms=0,
                 capabilities=1, is_introduced=True,
             )
             for node, address in places
-        )  # fmt: skip
+        ]  # fmt: skip
+        self.nodes.restore(memories, heard_ns={}, now_ns=time.monotonic_ns())
 
     def hear(self, node: int, address: int, *, sent_ms: int = 1000, late_ms: int = 0) -> None:
         now_ns = time.monotonic_ns() + late_ms * NS_PER_MS

@@ -148,7 +148,7 @@ def test_an_address_that_another_biobot_takes_is_lost_until_the_first_is_heard_a
 
 def test_an_address_that_two_remembered_biobots_claim_and_one_of_many_are_believed_of_none() -> None:
     book = NodeBook(gateway="g")
-    book.restore([_memory(1, address=7), _memory(2, address=7), _memory(3, address=8), _memory(4, address=0xFFFF)])
+    book.restore([_memory(1, address=7), _memory(2, address=7), _memory(3, address=8), _memory(4, address=0xFFFF)], heard_ns={}, now_ns=0)
     assert [node.address for node in book.all()] == [None, None, 8, None]
 
 
@@ -159,7 +159,7 @@ def test_a_life_that_is_over_never_comes_back_however_long_the_present_one_is_si
     node = _hear(book, 1, "r", 7, 3, 99, at_s=100_000)
     assert (node.boot, node.radio, node.address, node.last_heard_ns) == (4, "s", 8, NS_PER_S)
     restored = NodeBook(gateway="g")
-    restored.restore([_memory(1, address=7, boot=4)])
+    restored.restore([_memory(1, address=7, boot=4)], heard_ns={}, now_ns=0)
     restored.restore_earlier_boots([(NodeId(1), BootId(boot)) for boot in (3, 4)])
     assert _hear(restored, 1, "r", 9, 3, 99, at_s=100_000).boot == 4
 

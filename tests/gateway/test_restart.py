@@ -18,7 +18,7 @@ from gateway.health import Health
 from gateway.intake import Intake, IntakeListeners
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
-from gateway.journal_file import JournalWrite
+from gateway.journal_file import JournalWrite, open_journal_file
 from gateway.mission import Mission
 from gateway.nodes import NodeBook, NodeMemory
 from gateway.radio import RadioMessage
@@ -48,7 +48,7 @@ def test_a_restart_at_the_end_of_dispersion_waits_for_the_biobots_it_knew(tmp_pa
             t_start_ns=Nanoseconds(time.monotonic_ns() - 61 * NS_PER_S),
         )
         await journal.append(JournalWrite(records=(begun,)))
-        nodes.restore(
+        memories = [
             NodeMemory(
                 node=NodeId(node),
                 boot=BootId(1),
@@ -61,7 +61,8 @@ def test_a_restart_at_the_end_of_dispersion_waits_for_the_biobots_it_knew(tmp_pa
                 is_introduced=True,
             )
             for node in range(1, 21)
-        )
+        ]
+        nodes.restore(memories, heard_ns={}, now_ns=time.monotonic_ns())
         gate = StimulationGate(
             gateway="g",
             config=StimulationTable(),
@@ -206,3 +207,47 @@ def test_a_clock_is_known_after_a_restart_unless_the_machine_was_started_anew(tm
     counters = asyncio.run(live([(2, report)], anchor_shift_ns=0 if is_same_machine else 1)).counters()
     assert counters.get("message.clock_unknown", 0) == (0 if is_same_machine else 1)
     assert counters.get("encounter.reports", 0) == (1 if is_same_machine else 0)
+
+
+def test_a_restart_knows_when_each_biobot_was_last_heard_at_the_latest(tmp_path: Path) -> None:
+    async def live(*, opened_ns: int, says: int, rest_s: int) -> NodeBook:
+        health, nodes = Health(), NodeBook(gateway="g")
+        clock = [opened_ns]
+        file = open_journal_file(
+            tmp_path / "j", now_wall_ns=opened_ns, now_ns=opened_ns, machine_boot="a", wall_clock=lambda: clock[0], clock=lambda: clock[0]
+        )
+        journal = Journal(path=tmp_path / "j", file=file, health=health)
+        reader = journal.reader()
+        intake = Intake(
+            issuer=_issuer_of(journal),
+            journal=journal,
+            reader=reader,
+            nodes=nodes,
+            clocks=ClockBook(window_ns=600 * NS_PER_S),
+            health=health,
+            config=EncounterTable(window_s=60),
+            now_ns=opened_ns,
+        )
+        intake.connect(_nobody())
+        running = asyncio.ensure_future(journal.run())
+        for node in range(1, says + 1):
+            clock[0] += rest_s * NS_PER_S
+            header = UplinkHeader(node=NodeId(node), boot=BootId(1), sequence=0, sent_ms=Milliseconds(1))
+            payload = encode_uplink(header, Hello(eui64=node, firmware=1, beacon_period_ms=0, capabilities=1))
+            intake.take(
+                RadioMessage(radio="r", source=ShortAddress(node), rssi_dbm=RssiDbm(-50), lqi=1, payload=payload, received_ns=clock[0])
+            )
+            await journal.drain()
+        running.cancel()
+        await asyncio.wait({running})
+        reader.close()
+        journal.close()
+        return nodes
+
+    begun_ns, rest_s, away_s = 10**15, 200, 7 * 86_400
+    asyncio.run(live(opened_ns=begun_ns, says=3, rest_s=rest_s))
+    opened_ns = begun_ns + (3 * rest_s + away_s) * NS_PER_S
+    nodes = asyncio.run(live(opened_ns=opened_ns, says=0, rest_s=0))
+    ages_s = [(opened_ns - node.heard_before_ns) / NS_PER_S for node in nodes.all()]
+    assert ages_s == [400, 200, 0], "no week without a gateway makes them older"
+    assert all(node.last_heard_ns == 0 for node in nodes.all())

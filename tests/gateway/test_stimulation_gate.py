@@ -12,12 +12,11 @@ from msgspec.structs import replace
 from firmware_protocol.contract.commands import CommandStage, PulseRequest, Refusal, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.records import Mode
 from firmware_protocol.messages import Action, Capability, Hello, StimulateReply, StimulationResult, WireMode
-from firmware_protocol.units import EVERYBODY, BootId, Milliseconds, Nanoseconds, NodeId, ShortAddress
+from firmware_protocol.units import EVERYBODY, Milliseconds, Nanoseconds, NodeId
 from gateway.config import StimulationTable
 from gateway.journal_file import JournalReader, JournalWrite
-from gateway.nodes import NodeMemory
 from gateway.radio import Fate
-from tests.gateway.fake_air import PATIENT, QUICK, Frame, Site, a_command, a_site
+from tests.gateway.fake_air import PATIENT, QUICK, Frame, Site, a_command, a_site, remember
 from tests.gateway.fake_radio import until
 
 _STOP, _START, _LEFT = StimulationAction.STOP, StimulationAction.START, StimulationAction.TURN_LEFT
@@ -170,21 +169,7 @@ def test_a_listener_that_fails_keeps_no_stop_from_its_end(tmp_path: Path) -> Non
 
 def test_a_biobot_not_heard_since_the_start_is_stopped_and_never_stimulated(tmp_path: Path) -> None:
     async def story(site: Site) -> None:
-        site.nodes.restore(
-            [
-                NodeMemory(
-                    node=NodeId(6),
-                    boot=BootId(1),
-                    radio="r",
-                    address=ShortAddress(2),
-                    eui64=6,
-                    firmware=1,
-                    beacon_period_ms=0,
-                    capabilities=1,
-                    is_introduced=True,
-                )
-            ]
-        )
+        remember(site, 6)
         for action in (_START, _LEFT, StimulationAction.TURN_RIGHT):
             (refused,) = await site.stages(6, action)
             assert refused.refusal is Refusal.UNFIT_BIOBOT

@@ -1,19 +1,23 @@
 """Laws of the stop of everybody."""
 
 import asyncio
+import tempfile
+import time
 from functools import partial
 from pathlib import Path
 
-from hypothesis import given
+import pytest
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.contract.commands import CommandStage, Refusal, Stage, StimulationAction
 from firmware_protocol.messages import Action, StimulationResult
-from firmware_protocol.units import EVERYBODY, NodeId
+from firmware_protocol.units import EVERYBODY, NS_PER_S, NodeId
 from gateway.journal_file import JournalWrite
 from gateway.radio import Fate, RadioOutcome
 from gateway.stimulation.parts import stop_of
-from tests.gateway.fake_air import PATIENT, QUICK, Site, a_command, a_site
+from gateway.stimulation.stop_all import REACHABLE_NS
+from tests.gateway.fake_air import PATIENT, QUICK, Site, a_command, a_site, remember
 from tests.gateway.fake_radio import until
 
 _ALL = StimulationAction.STOP_ALL
@@ -74,6 +78,96 @@ def test_who_does_not_confirm_is_named(tmp_path: Path) -> None:
             assert len([frame for frame in site.air.frames if frame.node is None]) == 3
             ends = [stage.node for stage in parts if stage.is_final]
             assert len(ends) == len(set(ends)) == 20, "each has one end"
+
+    asyncio.run(story())
+
+
+def test_whoever_an_earlier_process_heard_of_late_is_within_reach_and_sent_to_until_it_confirms(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", config=QUICK) as site:
+            remember(site, 1, 2)
+            site.air.answers = lambda _node, _n: False
+            stages, parts = await _heard(site)
+            assert stages[-1].stage is Stage.UNKNOWN
+            assert "2 of 2 biobots within reach did not confirm: 1, 2" in stages[-1].reason
+            assert [len(site.air.sent_to(node)) for node in (1, 2)] == [3, 3]
+            assert {stage.reason for stage in parts if stage.is_final} == {"no answer to 3 stops and 3 broadcasts; look at the animal"}
+            site.air.answers = lambda _node, n_sent: n_sent == 5
+            stages, _ = await _heard(site, command_id="more")
+            assert (stages[-1].stage, stages[-1].reason) == (Stage.BIOBOT_CONFIRMED, "all 2 biobots within reach have confirmed")
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("is_answered", [False, True])
+def test_who_was_not_heard_of_late_has_the_time_of_an_answer_and_nobody_confirms_for_it(tmp_path: Path, is_answered: bool) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", config=PATIENT) as site:
+            old_ns = time.monotonic_ns() - REACHABLE_NS - 1
+            remember(site, 1, 2, heard_ns={NodeId(1): old_ns, NodeId(2): old_ns})
+            site.air.answers = lambda node, _n: is_answered and node == 1
+            stages, parts = await _heard(site)
+            assert [len(site.air.sent_to(node)) for node in (1, 2)] == [1, 1]
+            (accepted,) = (stage for stage in parts if stage.node == 2 and stage.stage is Stage.ACCEPTED)
+            (end,) = (stage for stage in parts if stage.node == 2 and stage.is_final)
+            assert (end.stage, end.reason) == (Stage.UNKNOWN, "no answer to 1 stop and 1 broadcast; look at the animal")
+            assert end.wall_ns - accepted.wall_ns >= PATIENT.stop_retry_s * NS_PER_S
+            if is_answered:
+                assert stages[-1].stage is Stage.BIOBOT_CONFIRMED
+                assert (
+                    stages[-1].reason
+                    == "all 1 biobots within reach have confirmed; 1 others were not heard of late, and did not confirm either: 2"
+                )
+            else:
+                assert stages[-1].stage is Stage.UNKNOWN
+                assert "nobody has confirmed: none of 1, 2 was heard of late" in stages[-1].reason
+
+    asyncio.run(story())
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), max_size=6))
+@settings(max_examples=15)
+def test_that_all_have_confirmed_is_never_said_where_nobody_has(biobots: list[tuple[bool, bool]]) -> None:
+    """Each biobot: whether it was heard of late, and whether it answers."""
+    numbered = dict(enumerate(biobots, start=1))
+
+    async def story(path: Path) -> None:
+        async with a_site(path, config=QUICK) as site:
+            now_ns = time.monotonic_ns()
+            remember(
+                site, *numbered, heard_ns={NodeId(n): now_ns - 2 * REACHABLE_NS for n, (is_near, _) in numbered.items() if not is_near}
+            )
+            site.air.answers = lambda node, _n: numbered[node][1]
+            stages, parts = await _heard(site)
+            confirmed = {stage.node for stage in parts if stage.stage is Stage.BIOBOT_CONFIRMED}
+            assert confirmed == {n for n, (_, answers) in numbered.items() if answers}
+            near = {n for n, (is_near, _) in numbered.items() if is_near}
+            is_sure = near <= confirmed and bool(confirmed or not numbered)
+            assert stages[-1].stage is (Stage.BIOBOT_CONFIRMED if is_sure else Stage.UNKNOWN)
+            assert all(str(n) in stages[-1].reason for n in numbered if n not in confirmed and not is_sure)
+
+    with tempfile.TemporaryDirectory() as folder:
+        asyncio.run(story(Path(folder) / "j"))
+
+
+def test_where_a_radio_goes_down_the_real_number_of_frames_is_told_and_why(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with a_site(tmp_path / "j", 1, config=QUICK) as site:
+
+            def goes_down(_node: NodeId, _n: int) -> bool:
+                site.air.is_down = True
+                return False
+
+            site.air.answers = goes_down
+            _, parts = await _heard(site)
+            assert parts[-1].stage is Stage.UNKNOWN
+            assert "no answer to 1 stop and 1 broadcast; radio r0 takes nothing now: it is not connected; look at" in parts[-1].reason
+            site.air.is_down = False
+            stages = await site.stages(1, StimulationAction.STOP)
+            assert "no answer to 1 stop; radio r takes nothing now: it is not connected; look at the animal" in stages[-1].reason
+            stages = await site.stages(1, StimulationAction.STOP)
+            assert stages[-1].stage is Stage.FAILED
+            assert "nothing could be sent; radio r takes nothing now: it is not connected; look at the animal" in stages[-1].reason
 
     asyncio.run(story())
 

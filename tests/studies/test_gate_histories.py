@@ -93,6 +93,19 @@ def test_a_stop_that_did_nothing_and_a_frame_after_it_are_seen() -> None:
     assert "not stopped" in {one.partition(":")[0] for one in violations(world)}
 
 
+def test_a_stop_of_all_that_nobody_obeyed_and_that_is_said_to_be_confirmed_is_seen() -> None:
+    world = _world(flight_s=0.1)
+    world.wait(10_000)
+    stopped = world.order(Order(action=StimulationAction.STOP_ALL, node=1))
+    world.wait(20_000)
+    assert stopped.last is not None
+    assert stopped.last.stage is Stage.BIOBOT_CONFIRMED
+    assert "nobody stopped" not in _kinds(world)
+    for biobot in world.biobots.values():
+        biobot.log.clear()
+    assert "nobody stopped" in {one.partition(":")[0] for one in violations(world)}
+
+
 def test_a_stop_that_comes_again_word_for_word_is_answered_and_stops_nobody_who_was_moved_since() -> None:
     world = _world(flight_s=0.1)
     world.wait(10_000)
