@@ -17,7 +17,7 @@ from firmware_protocol.contract.commands import Stage, StimulationAction, Stimul
 from firmware_protocol.contract.mission_orders import MissionAction
 from firmware_protocol.contract.records import Cause, MissionPhase, Mode
 from firmware_protocol.units import EVERYBODY
-from mapper.access import Role, add_token
+from mapper.access import Role, add_token, revoke_token
 from tests.mapper.browser_side import (
     CHROMIUM,
     DESK,
@@ -161,6 +161,23 @@ def test_who_is_not_signed_in_looks_and_signs_in_and_out(site: Site) -> None:
         expect(site.known(page).get_by_role("button", name="Start biobot 1", exact=True)).to_be_disabled()
         assert page.evaluate("sessionStorage.length") == 0
     assert [(command.node, command.operator) for command in site.gateway.commands] == [(1, "anna")]
+
+
+def test_a_token_that_is_revoked_meanwhile_is_asked_for_again(site: Site) -> None:
+    tokens, secret = site.directory / "tokens.json", site.directory / "token-of-otto"
+    token_id = add_token(tokens, name="otto", role=Role.OPERATOR, secret_file=secret).record.id
+    with opened(site.browser, site.url, token=secret.read_text().strip(), expected=REFUSED) as watched:
+        page = site.known(watched.page)
+        expect(page.locator("#account-open")).to_have_text("otto · operator")
+        revoke_token(tokens, token_id=token_id, keeps_admin=False)
+        page.get_by_role("button", name="Stop biobot 1", exact=True).click()
+        expect(page.locator("#sign-in-fault")).to_have_text("The token is not valid any more. Sign in again.")
+        expect(page.locator("#account-open")).to_have_text("Sign in")
+        expect(page.get_by_role("button", name="Stop biobot 1", exact=True)).to_be_disabled()
+        page.get_by_label("Token").fill(site.token(Role.OPERATOR))
+        page.keyboard.press("Enter")
+        expect(page.locator("#account-open")).to_have_text("anna · operator")
+        expect(page.locator("#link")).to_contain_text("live")
 
 
 def test_a_stop_without_the_role_is_sent_and_says_that_it_was_refused(site: Site) -> None:
@@ -407,6 +424,7 @@ def test_a_page_shows_nothing_without_a_token_where_nobody_may_and_says_since_wh
             watched = stack.enter_context(opened(site.browser, url, expected=[*REFUSED, r"net::ERR_"]))
             page = watched.page
             expect(page.locator("#account")).to_contain_text("This mapper shows nothing without a token.")
+            expect(page.locator("#link")).to_have_text("not signed in")
             page.get_by_label("Token").fill(token_of(tmp_path))
             page.keyboard.press("Enter")
             expect(page.locator("#link")).to_have_text("no gateway yet")
