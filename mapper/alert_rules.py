@@ -70,8 +70,8 @@ class AlertLimits:
     """From where on something is told."""
 
     lost_s: float = 60.0
-    battery_mv: int = 3500
-    battery_critical_mv: int = 3300
+    battery_mv: int = 2400
+    battery_critical_mv: int = 2200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,7 @@ from mapper.alert_book import Alert, AlertBook
 from mapper.alert_rules import AlertLimits, Situation, find_conditions
 from mapper.changes import Changes, Topic
 from mapper.current_map import CurrentMap
-from mapper.errors import AlertNotFoundError, StoreError
+from mapper.errors import AlertNotFoundError, MapDocumentError, StoreError
 from mapper.fleet import Fleet
 from mapper.hole_watch import HoleWatch
 from mapper.log import EventLog
@@ -135,7 +135,10 @@ class AlertWatch:
         self._seen_version = latest.version
         data = _decoder.decode(latest.map_json).data
         self._remedies = None if data is None or data.is_enough else data.remedies
-        await asyncio.to_thread(self._holes.take, latest.map_json, now_ns=now_ns)
+        try:
+            await asyncio.to_thread(self._holes.take, latest.map_json, now_ns=now_ns)
+        except MapDocumentError as error:
+            _log.error("alerts.map_unread", version=latest.version, reason=str(error))
 
     async def _situation(self, *, now_ns: int, wall_ns: int) -> Situation:
         change = self._change

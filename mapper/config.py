@@ -225,8 +225,8 @@ class AlertsConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """
 
     lost_s: Annotated[float, Meta(ge=1, le=86_400)] = 60.0
-    battery_mv: Annotated[int, Meta(ge=0, le=20_000)] = 3500
-    battery_critical_mv: Annotated[int, Meta(ge=0, le=20_000)] = 3300
+    battery_mv: Annotated[int, Meta(ge=0, le=20_000)] = 2400
+    battery_critical_mv: Annotated[int, Meta(ge=0, le=20_000)] = 2200
     hole_probability: Annotated[float, Meta(ge=0, le=1)] = 0.8
 
     def __post_init__(self) -> None:

@@ -21,7 +21,7 @@ class AlertItem(AnswerModel):
     """An alert."""
 
     id: int
-    kind: str = Field(description="What it is about: biobot_lost, battery_low, new_hole, ...; docs/alerts.md lists them")
+    kind: str = Field(description="What it is about: biobot_lost, battery_low, new_hole, ...; docs/past.md lists them")
     severity: Literal["info", "warning", "critical"] = Field(description="Act not at all, when there is time, or now")
     subject: str = Field(description="Of what: biobot 17")
     text: str = Field(description="What it means and what to do, for people")

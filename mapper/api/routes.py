@@ -19,6 +19,7 @@ from mapper.api.map_routes import add_map_routes
 from mapper.api.past_routes import add_past_routes
 from mapper.api.picture_routes import add_picture_routes
 from mapper.api.place_routes import add_place_routes
+from mapper.api.report_routes import add_report_routes
 from mapper.api.schemas import (
     BiobotList,
     EncounterList,
@@ -53,6 +54,7 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     add_past_routes(router, services)
     add_alert_routes(router, services)
     add_site_routes(router, services)
+    add_report_routes(router, services)
     add_access_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router
