@@ -66,7 +66,7 @@ def run_campaign(target: Target, *, n_cases: int, seed_number: int, tell: Callab
                 group = asked[first : first + size]
                 seed_of_group = seed_number + _SEEDS_PER_ROUND * number + first
                 _ask(target, session, group, tally, n_cases=share * len(group), seed_number=seed_of_group)
-            tell(f"{tally.n_cases - n_before:,} of {n_cases:,} requests, {len(tally.failures)} rules broken")
+                tell(f"{tally.n_cases - n_before:,} of {n_cases:,} requests, {len(tally.failures)} rules broken; {group[-1].name}")
             n_empty = n_empty + 1 if tally.n_cases - n_before == n_cases - left else 0
     raise AssertionError("unreachable")
 
