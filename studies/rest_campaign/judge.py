@@ -89,6 +89,11 @@ def _judge_content(operation: Operation, asked: Asked, answer: requests.Response
         yield Fault("no body where there is none", f"{answer.status_code} with {len(answer.content)} bytes")
     checks = [*_CHECKS, negative_data_rejection] if asked.way is Way.INVALID and not asked.headers else _CHECKS
     yield from _broken(asked.case, answer, checks=checks)
+    closed = operation.closed.get(answer.status_code)
+    if closed is not None and answer.content:
+        error = next(closed.iter_errors(answer.json()), None)
+        if error is not None:
+            yield Fault("nothing is told that is not described", _shorten(f"{list(error.instance_path)}: {error.message[-_MOST_SHOWN:]}"))
 
 
 def _broken(case: Case[Any], answer: requests.Response, *, checks: list[CheckFunction]) -> Iterator[Fault]:

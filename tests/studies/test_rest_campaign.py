@@ -29,6 +29,7 @@ GET_THING = {
     "responses": {"200": {"description": "It", "content": {"application/json": {"schema": SIZED}}}},
 }
 DOCUMENT = {"openapi": "3.1.0", "info": {"title": "a service", "version": "1"}, "paths": {"/things/{name}": {"get": GET_THING}}}
+NOT_DESCRIBED = "nothing is told that is not described"
 STRICT = {"Content-Security-Policy": "", "X-Content-Type-Options": "", "X-Frame-Options": "", "Referrer-Policy": ""}
 
 
@@ -81,8 +82,9 @@ def test_an_answer_as_described_breaks_no_rule() -> None:
     ("answer", "rules"),
     [
         (answered(500, b'{"size": 1}'), {"no server error", "Undocumented status code"}),
-        (answered(200, b'{"size": "x"}'), {"Response violates schema"}),
-        (answered(200, b"{}"), {"Response violates schema"}),
+        (answered(200, b'{"size": "x"}'), {"Response violates schema", NOT_DESCRIBED}),
+        (answered(200, b"{}"), {"Response violates schema", NOT_DESCRIBED}),
+        (answered(200, b'{"size": 1, "colour": "red"}'), {NOT_DESCRIBED}),
         (answered(200, b'{"size": 1}', "text/plain"), {"Undocumented Content-Type"}),
         (answered(404, b"{}"), {"Undocumented status code"}),
         (answered(401, b"{}"), {"whoever may is let in", "Undocumented status code"}),
