@@ -12,6 +12,7 @@ from gateway.commands.audit_lines import COLUMNS, DOSE_HEAD, dose_line, escaped,
 from gateway.commands.journal import instant
 from gateway.commands.outcome import DONE, FAILED, complain, progress
 from gateway.errors import JournalUnfitError
+from gateway.journal_export.outputs import expect_output
 from gateway.journal_export.tables import write_csv, write_json_lines
 from gateway.journal_file import (
     AFTER_DAMAGE,
@@ -107,6 +108,9 @@ def _show(path: Path, selection: AuditSelection, *, is_json: bool, follows: bool
 
 
 def _export(path: Path, selection: AuditSelection, *, csv: Path | None, json_lines: Path | None) -> int:
+    out = csv or json_lines
+    assert out is not None
+    expect_output(out, journal=path)
     unreadable: list[int] = []
 
     def readable() -> Iterator[AuditEntry]:
@@ -116,12 +120,9 @@ def _export(path: Path, selection: AuditSelection, *, csv: Path | None, json_lin
             elif len(unreadable) < _MAX_DIGITS:
                 unreadable.append(row.id)
 
-    if csv is not None:
-        n_rows = write_csv(csv, COLUMNS, map(table_row, readable()))
-    else:
-        assert json_lines is not None
-        n_rows = write_json_lines(json_lines, map(shown, readable()))
-    complain(f"{csv or json_lines}: {n_rows} rows")
+    as_table = csv is not None
+    n_rows = write_csv(out, COLUMNS, map(table_row, readable())) if as_table else write_json_lines(out, map(shown, readable()))
+    complain(f"{out}: {n_rows} rows")
     if unreadable:
         rows = ", ".join(map(str, unreadable))
         return complain(f"left out, not as a gateway writes them: rows {rows}; see `biobot-gateway audit verify {path}`", status=FAILED)

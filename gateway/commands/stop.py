@@ -47,11 +47,13 @@ def stop(options: argparse.Namespace) -> int:
         timeout_s=_TIMEOUT_S,
         tls=way.tls,
         timing=way.zenoh,
+        on_gateway=gateways.add,
     ):
-        gateways.add(stage.gateway)
         print(json.dumps(msgspec.to_builtins(stage)) if is_json else line_of(stage), flush=True)
         if stage.is_final and stage.command_id in ends:
             ends[stage.command_id].append(stage)
+    if options.all:
+        complain(f"asked: {', '.join(sorted(gateways))}; who hangs or is cut off is not on the bus, and was not asked")
     problems = [problem for command_id, request in requests.items() if (problem := _why_unsure(request, ends[command_id], gateways))]
     complain(*problems)
     return FAILED if problems else DONE
