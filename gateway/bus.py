@@ -21,10 +21,12 @@ from firmware_protocol.contract.announcements import GatewayEvent, NeighbourRepo
 from firmware_protocol.contract.commands import CommandStage, StimulationAccount
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.presence import Kind, build_token_key
+from firmware_protocol.contract.recordings import RecordingList
 from firmware_protocol.contract.records import EncodedBatch, GatewayStatus, NodeStatus, Struct, encode_record
 from gateway.bus_commands import CommandDoor, CommandTaker, OrderDoor, OrderTaker, TurnedAwayListener
 from gateway.bus_history import HistoryDoor
 from gateway.bus_presence import CommanderDoor, CommanderListener, WatermarkDoor
+from gateway.bus_recordings import RecordingsDoor
 from gateway.bus_session import ConnectionWatch
 from gateway.bus_standing import ServiceSession, StandingDeclarations
 from gateway.config import GatewayConfig
@@ -62,6 +64,7 @@ class Bus:
         self._puts: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()  # a third of the cost of a Queue
         self._answers = ThreadPoolExecutor(max_workers=1, thread_name_prefix="answers")
         self._history: HistoryDoor | None = None
+        self._recordings: RecordingsDoor | None = None
         self._commands: CommandDoor | None = None
         self._standing = StandingDeclarations(session)
         self._publishers: dict[Stream, zenoh.ext.AdvancedPublisher] = {}
@@ -113,10 +116,11 @@ class Bus:
         commanders: CommanderListener | None = None,
         on_watermark: Callable[[str, int], None] | None = None,
         on_damage: Callable[[Damage], None] | None = None,
+        list_recordings: Callable[[], RecordingList] | None = None,
     ) -> None:
         """Answer queries from now on, and be alive to others.
 
-        All that is given is called in the running loop, but for ``open_reader`` and ``on_turned_away``.
+        All that is given is called in the running loop, but for ``open_reader``, ``list_recordings`` and ``on_turned_away``.
         """
         loop, health, standing = asyncio.get_running_loop(), self._health, self._standing
 
@@ -164,6 +168,10 @@ class Bus:
             )
             standing.declare("orders", lambda session: session.declare_queryable(order_key, orders.take))
         standing.declare("history", lambda session: session.declare_queryable(history_key, history.take))
+        if list_recordings is not None:
+            recordings_key = self._key(Stream.RECORDINGS)
+            recordings = self._recordings = RecordingsDoor(key=recordings_key, health=health, answer=list_recordings)
+            standing.declare("recordings", lambda session: session.declare_queryable(recordings_key, recordings.take))
         alive = self._key(Stream.ALIVE)
         standing.declare("alive", lambda session: session.liveliness().declare_token(alive))
 
@@ -229,8 +237,9 @@ class Bus:
         if self._thread.is_alive():
             _log.warning("bus.unsent", waiting=self._puts.qsize())
         self._answers.shutdown(wait=True)
-        if self._history is not None:
-            self._history.close()
+        for door in (self._history, self._recordings):
+            if door is not None:
+                door.close()
         self._session.close()
 
     def _key(self, stream: Stream) -> str:

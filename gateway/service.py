@@ -40,6 +40,7 @@ from gateway.log import EventLog, log_what_nobody_caught
 from gateway.mission import Mission
 from gateway.monitor.server import Monitor
 from gateway.nodes import NodeBook
+from gateway.recordings.listing import list_recordings
 from gateway.recordings.radio_recorders import open_recorded, recording_radios
 from gateway.recordings.recorder import Recorder
 from gateway.service_manager import ServiceManager
@@ -232,6 +233,7 @@ class Service:
                     commanders=commanding.commanders,
                     on_watermark=journal.note_watermark,
                     on_damage=journal.note_damage,
+                    list_recordings=partial(list_recordings, config.recording.directory, gateway=config.name),
                 )
                 for account in gate.accounts():
                     bus.publish_account(account)

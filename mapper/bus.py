@@ -9,7 +9,6 @@ import threading
 from collections import Counter, deque
 from collections.abc import AsyncGenerator
 from contextlib import aclosing, suppress
-from dataclasses import dataclass
 from functools import partial
 from typing import Final, Self
 
@@ -19,12 +18,14 @@ import zenoh.ext
 from firmware_protocol.contract.commands import CommanderBeat, CommandStage, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.mission_orders import MissionAnswer, MissionOrder
-from firmware_protocol.contract.presence import Kind, build_token_key
+from firmware_protocol.contract.presence import Kind, build_token_key, parse_token_key
+from firmware_protocol.contract.recordings import RecordingList
 from firmware_protocol.contract.records import HistoryRequest, RecordBatch, Watermark, decode_record, encode_record
 from firmware_protocol.contract.sessions import TlsTable, ZenohTable, endpoint_problem
-from firmware_protocol.errors import RecordError
+from firmware_protocol.errors import KeyExpressionError, RecordError
 from mapper.arrivals import Arrival, decode_arrival
-from mapper.bus_standing import StandingSession
+from mapper.bus_queries import Queries, Query, first_sentence
+from mapper.bus_standing import Declared, StandingSession
 from mapper.errors import BusError, QueryError
 from mapper.log import EventLog
 
@@ -32,12 +33,12 @@ _log = EventLog(__name__)
 
 _MAX_INBOX_MESSAGES: Final = 20_000
 _MAX_INBOX_BYTES: Final = 64 * 2**20
-# Zenoh answers a query that nobody ends with this error (measured, eclipse-zenoh 1.10).
-_TIMEOUT_PAYLOAD: Final = b"Timeout"
-_DEADLINE_SLACK_S: Final = 2.0
 # A session that was just connected learns within this who is alive; one that was killed is alive until its lease of 10 s is over.
 _SETTLE_S: Final = 1.5
 _PATIENCE_S: Final = 15.0
+_MAX_SITES: Final = 1024
+_MAX_SEEN: Final = 1024
+"""Sites, and gateways of each, that are remembered."""
 _LOOK_EVERY_S: Final = 0.1
 _ALIVE_TIMEOUT_S: Final = 1.0
 
@@ -60,6 +61,8 @@ class Bus:
         self._site = site
         self._loop = loop
         self._session: StandingSession
+        self._queries: Queries
+        self._sites: dict[str, set[str]] = {}
         self._lock = threading.Lock()
         self._inbox: deque[tuple[str, bytes | bool]] = deque()
         self._inbox_bytes = 0
@@ -93,10 +96,11 @@ class Bus:
             bus._session = await asyncio.to_thread(
                 partial(StandingSession, connect=connect, listen=listen, tls=tls or TlsTable(), timing=timing, echo=echo)
             )
+            bus._queries = Queries(bus._session, loop=bus._loop)
             await asyncio.to_thread(bus._declare)
         except zenoh.ZError as error:
             raise BusError(
-                reason=f"Zenoh refuses connect={list(connect)}, listen={list(listen)}: {_first_sentence(error)}",
+                reason=f"Zenoh refuses connect={list(connect)}, listen={list(listen)}: {first_sentence(error)}",
                 next_step="give endpoints such as tcp/127.0.0.1:7447",
             ) from error
         return bus
@@ -104,6 +108,11 @@ class Bus:
     async def aclose(self) -> None:
         """Leave the bus."""
         await asyncio.to_thread(self._session.close)
+
+    @property
+    def site(self) -> str:
+        """The site whose gateways are heard."""
+        return self._site
 
     @property
     def is_connected(self) -> bool:
@@ -202,7 +211,7 @@ class Bus:
         key = build_key(site=self._site, stream=Stream.HISTORY, gateway=gateway)
         request = HistoryRequest(from_offset=from_offset, limit=limit)
         batches: list[RecordBatch] = []
-        async with aclosing(self._replies(self._begin(key, encode_record(request), timeout_s=timeout_s))) as replies:
+        async with aclosing(self._queries.replies(self._queries.begin(key, encode_record(request), timeout_s=timeout_s))) as replies:
             async for payload in replies:
                 if isinstance(payload, QueryError):
                     raise payload
@@ -236,10 +245,10 @@ class Bus:
         of the answers within ``timeout_s``.
         """
         key = build_key(site=self._site, stream=Stream.COMMAND, gateway=gateway or ANY)
-        return self._stages_of(request, self._begin(key, encode_record(request), timeout_s=timeout_s, is_command=True))
+        return self._stages_of(request, self._queries.begin(key, encode_record(request), timeout_s=timeout_s, is_command=True))
 
-    async def _stages_of(self, request: StimulationRequest, query: "_Query") -> AsyncGenerator[CommandStage | QueryError, None]:
-        async with aclosing(self._replies(query)) as replies:
+    async def _stages_of(self, request: StimulationRequest, query: Query) -> AsyncGenerator[CommandStage | QueryError, None]:
+        async with aclosing(self._queries.replies(query)) as replies:
             async for payload in replies:
                 if isinstance(payload, QueryError):
                     yield payload
@@ -263,7 +272,7 @@ class Bus:
         key = build_key(site=self._site, stream=Stream.ORDERS, gateway=gateway or ANY)
         answers: list[MissionAnswer] = []
         fault: QueryError | None = None
-        async with aclosing(self._replies(self._begin(key, encode_record(order), timeout_s=timeout_s))) as replies:
+        async with aclosing(self._queries.replies(self._queries.begin(key, encode_record(order), timeout_s=timeout_s))) as replies:
             async for payload in replies:
                 if isinstance(payload, QueryError):
                     fault = payload
@@ -276,54 +285,21 @@ class Bus:
             raise fault
         return answers
 
-    def _begin(self, key: str, payload: bytes, *, timeout_s: float, is_command: bool = False) -> "_Query":
-        replies: asyncio.Queue[zenoh.Reply | None] = asyncio.Queue()
+    async def list_recordings(self, *, timeout_s: float = 5.0) -> list[RecordingList]:
+        """Ask all gateways of the site which recordings they have; those that are not there, or do not answer, are left out."""
+        key = build_key(site=self._site, stream=Stream.RECORDINGS, gateway=ANY)
+        found: list[RecordingList] = []
+        async with aclosing(self._queries.replies(self._queries.begin(key, b"", timeout_s=timeout_s))) as replies:
+            async for payload in replies:
+                with suppress(RecordError):
+                    if not isinstance(payload, QueryError):
+                        found.append(decode_record(payload, RecordingList))
+        return sorted(found, key=lambda one: one.gateway)
 
-        def hand_over(reply: zenoh.Reply | None) -> None:
-            with suppress(RuntimeError):  # the loop is closed: nobody waits any more
-                self._loop.call_soon_threadsafe(replies.put_nowait, reply)
-
-        def ask() -> None:
-            session = self._session.current
-            if session is None or not session.info.transports():
-                hand_over(None)  # nobody is there; a client would wait until the query's time is over
-                return
-            session.get(
-                key,
-                zenoh.handlers.Callback(hand_over, drop=lambda: hand_over(None)),
-                payload=payload,
-                timeout=timeout_s,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-                congestion_control=zenoh.CongestionControl.DROP if is_command else zenoh.CongestionControl.BLOCK,
-                priority=zenoh.Priority.REAL_TIME if is_command else zenoh.Priority.DATA,
-                express=is_command,
-            )
-
-        if not is_command:
-            return _Query(key=key, timeout_s=timeout_s, asked=self._loop.run_in_executor(None, ask), replies=replies)
-        asked = self._loop.create_future()
-        try:
-            ask()
-        except zenoh.ZError as error:
-            asked.set_exception(error)
-        else:
-            asked.set_result(None)
-        return _Query(key=key, timeout_s=timeout_s, asked=asked, replies=replies)
-
-    async def _replies(self, query: "_Query") -> AsyncGenerator[bytes | QueryError, None]:
-        try:
-            async with asyncio.timeout(query.timeout_s + _DEADLINE_SLACK_S):
-                await query.asked
-                while (reply := await query.replies.get()) is not None:
-                    if reply.ok is not None:
-                        yield reply.ok.payload.to_bytes()
-                    elif reply.err is not None:
-                        yield _query_error(query.key, reply.err.payload.to_bytes(), timeout_s=query.timeout_s)
-        except TimeoutError:
-            yield _query_error(query.key, _TIMEOUT_PAYLOAD, timeout_s=query.timeout_s)
-        except zenoh.ZError as error:
-            yield QueryError(key=query.key, reason=_first_sentence(error), is_timeout=False)
+    def sites(self) -> dict[str, list[str]]:
+        """Name all sites whose gateways are seen on the bus, and these gateways; on a secured bus, this site alone."""
+        with self._lock:
+            return {site: sorted(gateways) for site, gateways in sorted(self._sites.items()) if gateways}
 
     def _declare(self) -> None:
         def pattern(stream: Stream, *, node: str | None = None) -> str:
@@ -348,6 +324,7 @@ class Bus:
         )
         for key in seen:
             self._session.subscribe_tokens(key, self._on_presence)
+        self._session.declare("sites", self._watch_sites)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
@@ -355,6 +332,19 @@ class Bus:
 
     def _on_presence(self, sample: zenoh.Sample) -> None:
         self._push(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+    def _watch_sites(self, session: zenoh.Session) -> Declared:
+        with self._lock:
+            self._sites.clear()  # who left while there was no session is not told
+        key = build_token_key(site=ANY, kind=Kind.GATEWAY, name=ANY)
+        return session.liveliness().declare_subscriber(key, self._on_site, history=True)
+
+    def _on_site(self, sample: zenoh.Sample) -> None:
+        with suppress(KeyExpressionError):
+            token = parse_token_key(str(sample.key_expr))
+            with self._lock:
+                seen = self._sites.setdefault(token.site, set()) if len(self._sites) < _MAX_SITES else self._sites.get(token.site, set())
+                (seen.add if sample.kind == zenoh.SampleKind.PUT and len(seen) < _MAX_SEEN else seen.discard)(token.name)
 
     def _push(self, key: str, payload: bytes | bool) -> None:  # noqa: FBT001  # the payload of a liveliness sample is its kind
         size = _size(payload)
@@ -370,26 +360,5 @@ class Bus:
                 self._loop.call_soon_threadsafe(self._has_arrivals.set)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Query:
-    """A question that is on its way; ``replies`` ends with None."""
-
-    key: str
-    timeout_s: float
-    asked: "asyncio.Future[None]"
-    replies: "asyncio.Queue[zenoh.Reply | None]"
-
-
 def _size(payload: bytes | bool) -> int:  # noqa: FBT001  # see Bus._push
     return len(payload) if isinstance(payload, bytes) else 0
-
-
-def _query_error(key: str, payload: bytes, *, timeout_s: float) -> QueryError:
-    if payload == _TIMEOUT_PAYLOAD:
-        return QueryError(key=key, reason=f"no end of the answer within {timeout_s:g} s", is_timeout=True)
-    return QueryError(key=key, reason=payload.decode(errors="replace"), is_timeout=False)
-
-
-def _first_sentence(error: zenoh.ZError) -> str:
-    # Zenoh appends the places in its own source.
-    return str(error).split(" at /", maxsplit=1)[0]

@@ -183,23 +183,6 @@ class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise ValueError(str(error)) from error
 
 
-class LimitsConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How often the holder of a token may ask; beyond that the answer is 429. Stops have no limit, nor has reading on this machine.
-
-    Keys
-    ----
-    reads_per_s, reads_burst
-        Requests that change nothing: so many a second in the long run, and so many at once.
-    writes_per_s, writes_burst
-        The same of those that change something.
-    """
-
-    reads_per_s: Annotated[float, Meta(ge=1, le=1e6)] = 50.0
-    reads_burst: Annotated[float, Meta(ge=1, le=1e6)] = 500.0
-    writes_per_s: Annotated[float, Meta(ge=0.1, le=1e6)] = 10.0
-    writes_burst: Annotated[float, Meta(ge=1, le=1e6)] = 100.0
-
-
 class HistoryConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which maps of the past ``biobot-mapper serve`` keeps.
 
@@ -228,19 +211,61 @@ class HistoryConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             )
 
 
+class AlertsConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """From where on ``biobot-mapper serve`` tells of something.
+
+    Keys
+    ----
+    lost_s
+        A biobot that was not heard for so long, though its gateway works, is lost: several times the period of its status.
+    battery_mv, battery_critical_mv
+        A battery below this is low, and all but empty.
+    hole_probability
+        A new hole at least so likely is told, once three maps in a row show it.
+    """
+
+    lost_s: Annotated[float, Meta(ge=1, le=86_400)] = 60.0
+    battery_mv: Annotated[int, Meta(ge=0, le=20_000)] = 2400
+    battery_critical_mv: Annotated[int, Meta(ge=0, le=20_000)] = 2200
+    hole_probability: Annotated[float, Meta(ge=0, le=1)] = 0.8
+
+    def __post_init__(self) -> None:
+        """Refuse a critical voltage above the low one."""
+        if self.battery_critical_mv > self.battery_mv:
+            raise ValueError(f"battery_critical_mv is {self.battery_critical_mv}, but must be at most battery_mv, {self.battery_mv}")
+
+
+class LimitsConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How often the holder of a token may ask; beyond that the answer is 429. Stops have no limit, nor has reading on this machine.
+
+    Keys
+    ----
+    reads_per_s, reads_burst
+        Requests that change nothing: so many a second in the long run, and so many at once.
+    writes_per_s, writes_burst
+        The same of those that change something.
+    """
+
+    reads_per_s: Annotated[float, Meta(ge=1, le=1e6)] = 50.0
+    reads_burst: Annotated[float, Meta(ge=1, le=1e6)] = 500.0
+    writes_per_s: Annotated[float, Meta(ge=0.1, le=1e6)] = 10.0
+    writes_burst: Annotated[float, Meta(ge=1, le=1e6)] = 100.0
+
+
 class MapperConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All that one configuration file of the mapper may say; ``biobot-mapper run`` heeds ``recipe`` alone.
 
     Keys
     ----
-    recipe, serve, history, limits, tls, zenoh
+    recipe, serve, limits, history, alerts, tls, zenoh
         Tables of their own.
     """
 
     recipe: RecipeConfig = RecipeConfig()
     serve: ServiceConfig = ServiceConfig()
-    limits: LimitsConfig = LimitsConfig()
     history: HistoryConfig = HistoryConfig()
+    alerts: AlertsConfig = AlertsConfig()
+    limits: LimitsConfig = LimitsConfig()
     tls: TlsTable = TlsTable()
     zenoh: ZenohTable = ZenohTable()
 

@@ -366,6 +366,23 @@ class NoResultError(MapError):
         self.state = state
 
 
+class OtherVersionError(MapError):
+    """Something of a map was asked for that is no longer, or not yet, the newest."""
+
+    def __init__(self, *, asked: int, newest: int) -> None:
+        super().__init__(f"map {asked} is not the newest, that is {newest}; ask for that")
+        self.asked = asked
+        self.newest = newest
+
+
+class LengthsNotKeptError(MapError):
+    """The mapper was started anew, and the lengths between the points of the map from before were not kept."""
+
+    def __init__(self, *, version: int) -> None:
+        super().__init__(f"the lengths of map {version} were not kept when the mapper was started anew; the next map will have them")
+        self.version = version
+
+
 class TooManyError(MapError):
     """A limit on what runs at the same time is reached."""
 

@@ -143,6 +143,15 @@ class Fleet:
         """Set what is to be added to the wall clocks of gateways that are wrong [ns]: a biobot belongs to the one that heard it last."""
         self._shifts_ns = shifts_ns
 
+    def silences_s(self) -> dict[NodeId, float]:
+        """Return how long biobots have not been heard [s], by the clocks of the gateways that heard them last."""
+        statuses = {name: known.status for name, known in self._gateways.items() if known.status is not None}
+        return {
+            node: (statuses[status.gateway].wall_ns - status.last_heard_wall_ns) / 1e9
+            for node, status in self._nodes.items()
+            if status.gateway in statuses
+        }
+
     def gateway_of(self, node: NodeId) -> str | None:
         """Name the gateway that heard a biobot last; None for an unknown one."""
         if node in self._nodes:

@@ -28,7 +28,7 @@ WRITE_PERIOD_S: Final = 30.0
 """The file is written no sooner than this after the time before [s]."""
 _MAX_PENDING: Final = 16
 """Maps that wait to be taken in; of more, the oldest are left out."""
-_MAX_FRESH_BYTES: Final = 16 * 2**20
+_MAX_FRESH_BYTES: Final = 32 * 2**20
 """Of compressed maps that are in memory alone; of more, the oldest go."""
 
 

@@ -6,12 +6,14 @@ imported where it runs: the serving process needs these functions only by name.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
+from mapper.errors import MapDocumentError
 from mapper.named_pins import Framing, NamedPin
 from mapper.record_columns import to_unsigned
 from mapper.replica import Replica, StoreDelta
@@ -49,7 +51,8 @@ class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
 
     The map is of ``n_encounters``, the last of which ended at ``last_encounter_ns`` [wall clock]; ``n_before`` were over at ``since_ns``:
     when the landmarks were set or the window begins, whichever is later; None where there is neither. ``n_ahead`` of all that are known
-    were dated ahead of this machine's clock. ``framing``: where the pins known then are on it.
+    were dated ahead of this machine's clock. ``framing``: where the pins known then are on it. ``lengths``: between its points, as
+    `encode_lengths` writes them; None where they were not kept.
     """
 
     map_json: bytes
@@ -63,6 +66,7 @@ class MapDocuments(msgspec.Struct, frozen=True, kw_only=True):
     since_ns: int | None
     last_encounter_ns: int
     n_ahead: int
+    lengths: bytes | None = None
 
 
 def make_map(
@@ -89,6 +93,7 @@ def make_map(
     """
     from mapper.coverage import describe_coverage  # noqa: PLC0415  # see the module's docstring
     from mapper.interval_lists import describe_barcode, describe_diagram  # noqa: PLC0415  # same
+    from mapper.length_shares import encode_lengths  # noqa: PLC0415  # same
     from mapper.map_alignment import align_map  # noqa: PLC0415  # same
     from mapper.map_codec import encode_map  # noqa: PLC0415  # same
     from mapper.map_framing import frame_map  # noqa: PLC0415  # same
@@ -109,7 +114,8 @@ def make_map(
         return TooFew(n_encounters=len(table), minimum=MIN_ENCOUNTERS, where=where, n_ahead=n_ahead, coverage_json=coverage)
     result, fit = compute_map(table, spells, recipe), None
     if previous is not None:
-        result, fit = align_map(result, read_marks(previous, source="the map before"))
+        with suppress(MapDocumentError):  # another version of the program may have written it in another form
+            result, fit = align_map(result, read_marks(previous, source="the map before"))
     n_before, last_encounter_ns = len(known) - len(table), int(table.t_end_ns.max())
     facts: JsonObject = {
         "window_s": None if window_ns is None else window_ns / _NS_PER_S,
@@ -132,6 +138,7 @@ def make_map(
         since_ns=since_ns,
         last_encounter_ns=last_encounter_ns,
         n_ahead=n_ahead,
+        lengths=encode_lengths(result),
     )
 
 

@@ -43,6 +43,7 @@ class MapSnapshot:
     diagram: ServedBytes
     barcode: ServedBytes
     coverage: ServedBytes
+    lengths: ServedBytes | None
 
     @classmethod
     def of(cls, finished: FinishedMap, *, change: int) -> Self:
@@ -61,6 +62,7 @@ class MapSnapshot:
             diagram=ServedBytes(_join_objects(head, documents.diagram_json), tag=etag),
             barcode=ServedBytes(_join_objects(head, documents.barcode_json), tag=etag),
             coverage=ServedBytes(_join_objects(head, documents.coverage_json), tag=etag),
+            lengths=None if documents.lengths is None else ServedBytes(documents.lengths, tag=etag),
         )
 
     def framed(self, framing: Framing) -> "MapSnapshot":
@@ -121,12 +123,13 @@ def _sum_sources() -> int:
 
 
 def pack(finished: FinishedMap) -> bytes:
-    """Return a finished map as it is kept."""
+    """Return a finished map as it is kept: without the lengths between its points, which are most of it, and flash memory wears."""
+    finished = msgspec.structs.replace(finished, documents=msgspec.structs.replace(finished.documents, lengths=None))
     return zlib.compress(msgspec.msgpack.encode(finished), _FASTEST)
 
 
 def unpack(document: bytes) -> FinishedMap | None:
-    """Invert `pack`; None for what is something else."""
+    """Invert `pack`, but for what is not kept; None for what is something else."""
     try:
         return msgspec.msgpack.decode(zlib.decompress(document), type=FinishedMap)
     except (zlib.error, msgspec.DecodeError, UnicodeDecodeError):

@@ -20,6 +20,8 @@ from firmware_protocol.contract.access import parse_identity
 from firmware_protocol.contract.handshakes import CertificateFacts
 from firmware_protocol.errors import ConfigurationError
 from mapper.access import Access, Rate, RateLimits, TokenRegister, open_register
+from mapper.alert_rules import AlertLimits
+from mapper.alert_watch import AlertWatch
 from mapper.api.app import create_app
 from mapper.api.event_stream import EventStream
 from mapper.api.services import Engines, Services
@@ -185,11 +187,28 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, token_file: Pat
             found = [*kept, *intake.losses.values(), *current_map.faults]
             return list(dict.fromkeys(found))
 
+        alerts = AlertWatch(
+            records=records,
+            fleet=fleet,
+            changes=changes,
+            current_map=current_map,
+            limits=AlertLimits(
+                lost_s=config.alerts.lost_s,
+                battery_mv=config.alerts.battery_mv,
+                battery_critical_mv=config.alerts.battery_critical_mv,
+            ),
+            sure=config.alerts.hole_probability,
+            is_connected=lambda: bus.is_connected,
+            faults=faults,
+        )
+        await alerts.restore()
         services = Services(
+            bus=bus,
             records=records,
             fleet=fleet,
             current_map=current_map,
             history=history,
+            alerts=alerts,
             commands=desk,
             emergency_stop=EmergencyStop(desk),
             mission=MissionDesk(bus=bus),
@@ -210,7 +229,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, token_file: Pat
             )
         stack.enter_context(_signals_set(stopping))
         async with asyncio.TaskGroup() as group:
-            parts = (intake, desk, commander, history, current_map, watermarks, watch, register)
+            parts = (intake, desk, commander, history, current_map, alerts, watermarks, watch, register)
             tasks = [group.create_task(part.run(), name=type(part).__name__) for part in parts]
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
             group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")

@@ -30,7 +30,7 @@ from mapper.encounter_pages import EncounterPage, read_page
 from mapper.errors import StoreError
 from mapper.gateway_clocks import SourceClock
 from mapper.offsets import OffsetSet
-from mapper.record_columns import is_fit, wall_interval
+from mapper.record_columns import EncounterRows, is_fit, wall_interval
 from mapper.record_rows import RecordRows
 from mapper.replica import StoreDelta
 from mapper.row_loader import LoadedEncounters, load_encounters
@@ -181,13 +181,7 @@ class Store:
         return self._name
 
     def durable_watermarks(self) -> dict[tuple[str, str], int]:
-        """Return the watermark of each gateway's journal as a power cut would leave it; nothing where the store is in memory.
-
-        Raises
-        ------
-        StoreError
-            The disk does not take it.
-        """
+        """Return each journal's watermark as a power cut would leave it, nothing where the store is in memory; raises ``StoreError``."""
         if self._name is None:
             return {}
         marks = {key: source.offsets.watermark for key, source in self._sources.items()}
@@ -238,6 +232,10 @@ class Store:
             modes=self._site.modes.changed_after(after),
             since_ns=max(begun, default=None),
         )
+
+    def encounters_after(self, change: int) -> EncounterRows:
+        """Return the encounters that were set after a change, void ones too."""
+        return self._site.encounters.changed_after(change)
 
     def count_by_node(self) -> Mapping[NodeId, int]:
         """Count the encounters of each biobot, those before any mission too (unsigned ids)."""

@@ -130,7 +130,7 @@ _SEEN: Final = ("alive", "radios", "mappers", "commanders")
 
 PERMISSIONS: Final = (
     Permission(Role.GATEWAY, Deed.PUBLISH, Scope.OWN, (*_HEARD, "echo")),
-    Permission(Role.GATEWAY, Deed.ANSWER, Scope.OWN, ("command", "history", "orders", "echo")),
+    Permission(Role.GATEWAY, Deed.ANSWER, Scope.OWN, ("command", "history", "orders", "recordings", "echo")),
     Permission(Role.GATEWAY, Deed.ASK, Scope.OWN, ("echo",)),
     Permission(Role.GATEWAY, Deed.BE_ALIVE, Scope.OWN, ("alive", "radios")),
     Permission(Role.GATEWAY, Deed.SUBSCRIBE, Scope.OWN, ("watermark", "echo")),
@@ -138,7 +138,7 @@ PERMISSIONS: Final = (
     Permission(Role.GATEWAY, Deed.WATCH, Scope.OWN, ("alive",)),
     Permission(Role.GATEWAY, Deed.WATCH, Scope.SITE, ("commanders",)),
     Permission(Role.MAPPER, Deed.SUBSCRIBE, Scope.SITE, _HEARD),
-    Permission(Role.MAPPER, Deed.ASK, Scope.SITE, ("command", "history", "orders")),
+    Permission(Role.MAPPER, Deed.ASK, Scope.SITE, ("command", "history", "orders", "recordings")),
     Permission(Role.MAPPER, Deed.PUBLISH, Scope.OWN, ("beat", "echo")),
     Permission(Role.MAPPER, Deed.ANSWER, Scope.OWN, ("echo",)),
     Permission(Role.MAPPER, Deed.ASK, Scope.OWN, ("echo",)),

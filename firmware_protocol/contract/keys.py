@@ -28,6 +28,7 @@ class Stream(Enum):
     EVENTS = "events"
     COMMAND = "command"
     HISTORY = "history"
+    RECORDINGS = "recordings"
     ALIVE = "alive"
     WATERMARK = "watermark"
     STAGES = "stages"

@@ -9,6 +9,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from io import SEEK_END
 from typing import BinaryIO
 
 from gateway.errors import RecordingError
@@ -124,6 +125,19 @@ def read_records(stream: BinaryIO) -> Iterator[LineRecord | Damage]:
         offset += step
     if n_skipped:
         yield Damage(offset=offset - n_skipped, n_bytes=n_skipped, is_torn=is_torn)
+
+
+def find_last_wall_ns(stream: BinaryIO) -> int | None:
+    """Return the wall clock of the last whole record [ns], or None: there is none in the end of the file that the longest would fill."""
+    size = stream.seek(0, SEEK_END)
+    stream.seek(max(0, size - 2 * (_OVERHEAD + MAX_DATA)))
+    buffer = stream.read()
+    at = len(buffer)
+    while (at := buffer.rfind(_MARK, 0, at)) >= 0:
+        record = _decode_record(buffer, at)
+        if record is not None:
+            return record.wall_ns
+    return None
 
 
 def _encode_part(record: LineRecord, data: bytes) -> bytes:

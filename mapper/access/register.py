@@ -132,6 +132,10 @@ class TokenRegister:
         self._used[record.id] = self._wall_ns() // _HOUR_NS * _HOUR_NS
         return Person(name=record.name, role=record.role, token_id=record.id)
 
+    def is_welcome(self, person: Person) -> bool:
+        """Say whether somebody who was admitted would be now: nobody revoked the token."""
+        return person.token_id is None or self._keyring.has(person.token_id)
+
     async def add(self, *, name: str, role: Role) -> NewToken:
         """Make a token; see `add_token`."""
         made = await asyncio.to_thread(add_token, self._path, name=name, role=role)

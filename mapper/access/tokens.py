@@ -95,6 +95,10 @@ class Keyring:
     def __init__(self, records: Iterable[TokenRecord]) -> None:
         self._records = {record.id: (bytes.fromhex(record.hash), record) for record in records if record.is_valid}
 
+    def has(self, name: str) -> bool:
+        """Say whether there is a valid token of an id."""
+        return name in self._records
+
     def find(self, text: str) -> TokenRecord | None:
         """Return the record of a token; None: it is none of ours, or revoked."""
         name = token_id(text)

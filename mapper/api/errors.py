@@ -20,11 +20,13 @@ from mapper.errors import (
     GatewayAwayError,
     HoleNotFoundError,
     JobError,
+    LengthsNotKeptError,
     MapError,
     MapNotFoundError,
     NoMapYetError,
     NoResultError,
     OrderRefusedError,
+    OtherVersionError,
     PinNotFoundError,
     PinRefusedError,
     PlaceError,
@@ -39,6 +41,7 @@ from mapper.errors import (
 PROBLEM_TYPE: Final = "application/problem+json"
 
 STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
+    AlertNotFoundError: HTTPStatus.NOT_FOUND,
     NoTokenError: HTTPStatus.UNAUTHORIZED,
     RoleError: HTTPStatus.FORBIDDEN,
     RateLimitError: HTTPStatus.TOO_MANY_REQUESTS,
@@ -46,7 +49,6 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     TokenNameError: HTTPStatus.UNPROCESSABLE_ENTITY,
     TokenNotFoundError: HTTPStatus.NOT_FOUND,
     LastAdminError: HTTPStatus.CONFLICT,
-    AlertNotFoundError: HTTPStatus.NOT_FOUND,
     BiobotNotFoundError: HTTPStatus.NOT_FOUND,
     CommandNotFoundError: HTTPStatus.NOT_FOUND,
     HoleNotFoundError: HTTPStatus.NOT_FOUND,
@@ -56,11 +58,13 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     PinRefusedError: HTTPStatus.CONFLICT,
     NoResultError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
+    OtherVersionError: HTTPStatus.CONFLICT,
     MapNotFoundError: HTTPStatus.NOT_FOUND,
     PlaceError: HTTPStatus.UNPROCESSABLE_ENTITY,
     RouteError: HTTPStatus.NOT_FOUND,
     TooManyError: HTTPStatus.TOO_MANY_REQUESTS,
     NoMapYetError: HTTPStatus.SERVICE_UNAVAILABLE,
+    LengthsNotKeptError: HTTPStatus.SERVICE_UNAVAILABLE,
     GatewayAwayError: HTTPStatus.SERVICE_UNAVAILABLE,
     StopUnansweredError: HTTPStatus.SERVICE_UNAVAILABLE,
     WorkerDiedError: HTTPStatus.SERVICE_UNAVAILABLE,
@@ -70,6 +74,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
 
 _RETRY_AFTER_S: Final[Mapping[type[MapError], int]] = {
     NoMapYetError: 1,
+    LengthsNotKeptError: 5,
     WorkerDiedError: 1,
     TooManyError: 1,
     GatewayAwayError: 5,

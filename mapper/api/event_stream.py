@@ -1,7 +1,7 @@
 """Server-sent events: only version numbers; whoever wants the content asks for it. A slow client skips what lies between."""
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Final
 
 import msgspec
@@ -24,8 +24,13 @@ class EventStream:
         self._is_closing = False
         self._n_clients = 0
 
-    def open(self) -> StreamingResponse:
+    def open(self, *, is_welcome: Callable[[], bool] = lambda: True) -> StreamingResponse:
         """Make the answer to one client.
+
+        Parameters
+        ----------
+        is_welcome
+            Asked before each event and at each sign of life; the stream ends when it says no.
 
         Raises
         ------
@@ -35,7 +40,7 @@ class EventStream:
         if self._n_clients >= _MAX_CLIENTS:
             raise TooManyError(what="event streams", limit=_MAX_CLIENTS)
         return StreamingResponse(
-            self._tell(), media_type="text/event-stream", headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+            self._tell(is_welcome), media_type="text/event-stream", headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         )
 
     def close(self) -> None:
@@ -43,19 +48,21 @@ class EventStream:
         self._is_closing = True
         self._changes.bump(Topic.BIOBOTS)
 
-    async def _tell(self) -> AsyncIterator[bytes]:
+    async def _tell(self, is_welcome: Callable[[], bool]) -> AsyncIterator[bytes]:
         self._n_clients += 1
         try:
             seen = self._changes.versions
             # A client that lost its connection comes back after this.
             yield b"retry: 1000\n" + _format(seen)
-            while not self._is_closing:
+            while not self._is_closing and is_welcome():
                 try:
                     async with asyncio.timeout(_HEARTBEAT_S):
                         seen = await self._changes.wait(seen=seen)
                 except TimeoutError:
                     yield b": still here\n\n"
                     continue
+                if not is_welcome():
+                    break
                 yield _format(seen)
                 await asyncio.sleep(_MIN_PERIOD_S)
         finally:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Annotated, Final
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.datastructures import Headers
 
 from mapper.api.data_schemas import BarcodeView, BettiView, CoverageView, DiagramView, HoleList, HoleView
@@ -13,6 +13,7 @@ from mapper.api.quick_answers import Answer, served
 from mapper.api.schemas import MapStatusView, MapView
 from mapper.api.services import Services
 from mapper.api.views import JSON_TYPE, json_response, view_map_status
+from mapper.errors import LengthsNotKeptError, OtherVersionError
 from mapper.map_extracts import extract_betti, extract_hole, extract_holes
 from mapper.map_snapshot import MapSnapshot
 from mapper.served_bytes import ServedBytes
@@ -20,7 +21,10 @@ from mapper.served_bytes import ServedBytes
 MAP_PATH: Final = "/api/v1/map"
 MAP_PROBLEMS: Final = (HTTPStatus.SERVICE_UNAVAILABLE,)
 _HOLE_PROBLEMS: Final = (HTTPStatus.NOT_FOUND, HTTPStatus.UNPROCESSABLE_ENTITY, HTTPStatus.SERVICE_UNAVAILABLE)
+_LENGTHS_PROBLEMS: Final = (HTTPStatus.CONFLICT, HTTPStatus.UNPROCESSABLE_ENTITY, HTTPStatus.SERVICE_UNAVAILABLE)
 _MOST_HOLES: Final = 10_000
+_MAX_VERSION: Final = 2**63 - 1
+BYTES_TYPE: Final = "application/octet-stream"
 
 
 def quick_answers(services: Services) -> Mapping[str, Answer]:
@@ -58,6 +62,25 @@ def add_map_routes(router: APIRouter, services: Services) -> None:
         """Return the same intervals as a barcode, those that count first."""
         snapshot = services.current_map.require()
         return await served(request.headers, snapshot.barcode, media_type=JSON_TYPE, headers=freshness(services, snapshot))
+
+    @router.get("/api/v1/map/lengths", tags=["map"], responses=describe_answers(BYTES_TYPE, _LENGTHS_PROBLEMS, is_versioned=True))
+    async def get_lengths(
+        request: Request,
+        version: Annotated[
+            int | None, Query(ge=0, le=_MAX_VERSION, description="Of the map that it must be of; none: of the newest")
+        ] = None,
+    ) -> Response:
+        """Return the lengths between all points, from which the complex follows at any scale.
+
+        Unsigned numbers of 16 bits, little-endian, in 65,535ths of the map's `diameter`: for each component the upper triangle of its
+        matrix, row by row, without the diagonal, its points in the order of the map's.
+        """
+        snapshot = services.current_map.require()
+        if version is not None and version != snapshot.version:
+            raise OtherVersionError(asked=version, newest=snapshot.version)
+        if snapshot.lengths is None:
+            raise LengthsNotKeptError(version=snapshot.version)
+        return await served(request.headers, snapshot.lengths, media_type=BYTES_TYPE, headers=freshness(services, snapshot))
 
     _add_number_routes(router, services)
 

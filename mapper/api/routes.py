@@ -8,8 +8,10 @@ import time
 from http import HTTPStatus
 from typing import Annotated, Final
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 
+from mapper.access import person_of
+from mapper.api.alert_routes import add_alert_routes
 from mapper.api.command_routes import add_command_routes, add_mission_routes
 from mapper.api.descriptions import describe_answers
 from mapper.api.event_stream import EventStream
@@ -17,6 +19,7 @@ from mapper.api.map_routes import add_map_routes
 from mapper.api.past_routes import add_past_routes
 from mapper.api.picture_routes import add_picture_routes
 from mapper.api.place_routes import add_place_routes
+from mapper.api.report_routes import add_report_routes
 from mapper.api.schemas import (
     BiobotList,
     EncounterList,
@@ -25,6 +28,7 @@ from mapper.api.schemas import (
     ReadyView,
 )
 from mapper.api.services import Services
+from mapper.api.site_routes import add_site_routes
 from mapper.api.token_routes import add_access_routes
 from mapper.api.views import (
     json_response,
@@ -47,8 +51,11 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     _add_record_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
-    add_access_routes(router, services)
     add_past_routes(router, services)
+    add_alert_routes(router, services)
+    add_site_routes(router, services)
+    add_report_routes(router, services)
+    add_access_routes(router, services)
     _add_watch_routes(router, services, stream)
     return router
 
@@ -98,9 +105,10 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
 
 def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream) -> None:
     @router.get("/api/v1/events", tags=["watch"], responses=describe_answers("text/event-stream", (HTTPStatus.TOO_MANY_REQUESTS,)))
-    async def get_events() -> Response:
+    async def get_events(request: Request) -> Response:
         """Tell of changes as server-sent events: the version numbers of map, records, biobots, commands and mission, the newest only."""
-        return stream.open()
+        person, register = person_of(request), services.access.register
+        return stream.open(is_welcome=lambda: register.is_welcome(person))
 
     @router.get("/healthz", tags=["watch"], responses=describe_answers(HealthView))
     async def get_health() -> Response:

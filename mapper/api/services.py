@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from mapper.access import Access
+from mapper.alert_watch import AlertWatch
+from mapper.bus import Bus
 from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
@@ -29,10 +31,12 @@ class Engines:
 class Services:
     """The parts of the mapper that answer requests. ``faults`` and ``counters`` are asked for anew each time."""
 
+    bus: Bus
     records: StoreThread
     fleet: Fleet
     current_map: CurrentMap
     history: MapHistory
+    alerts: AlertWatch
     commands: CommandDesk
     emergency_stop: EmergencyStop
     mission: MissionDesk

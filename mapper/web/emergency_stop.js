@@ -1,16 +1,27 @@
-// One press stops every biobot at every gateway. No question is asked before, and it may be pressed again at any time.
+// One press stops every biobot at every gateway. No question is asked before, it may be pressed again at any time, and no role takes it away:
+// it is always sent, and where the mapper refuses it, the page says so and what to do.
 
-import { authorized, describe, post } from "./net.js";
+import { describe } from "./commands.js";
+import { getJson, send } from "./net.js";
 
 const LOOK_MS = 400;
 const LONGEST_S = 60;
 const MAX_SHOWN = 30;
+const TRIES = 4;
+const PATIENCE_MS = 5000;
+const OTHERWISE = "On the machine of a gateway: biobot-gateway stop --all";
 
 export class EmergencyStop {
   constructor({ button, panel, title, lines, close }) {
     Object.assign(this, { panel, title, lines });
     this.newest = null;
     button.addEventListener("click", () => this.press());
+    addEventListener("keydown", (event) => {
+      if (event.ctrlKey && event.shiftKey && event.code === "KeyX" && !event.repeat) {
+        event.preventDefault();
+        this.press();
+      }
+    }, { capture: true });
     close.addEventListener("click", () => {
       this.newest = null;
       panel.hidden = true;
@@ -25,19 +36,23 @@ export class EmergencyStop {
     const at = new Date().toLocaleTimeString();
     this.show(`Stop of all, ${at}: sent …`, null, []);
     const begun = performance.now();
-    let given;
+    let complaint = null;
     try {
-      given = await post("/api/v1/stop", { id });
-    } catch {
-      if (this.newest === id) this.show(`Stop of all, ${at}: the mapper does not answer. Use \`biobot-gateway stop --all\`.`, false, []);
-      return;
+      // The same id again is the same stop.
+      await send("POST", "/api/v1/stop", { id }, { tries: TRIES, patienceMs: PATIENCE_MS });
+    } catch (problem) {
+      if (problem.status === undefined) throw problem;
+      if (problem.status !== 503) {
+        if (this.newest === id) this.show(`Stop of all, ${at}: NOT stopped. ${problem.text}`, false, [{ isFine: false, text: OTHERWISE }]);
+        return;
+      }
+      complaint = problem.detail;
     }
-    const complaint = given.isFine ? null : given.answer.detail;
     while (this.newest === id) {
       const state = await this.look(id).catch(() => null);
       if (this.newest !== id) return;
       if (state === null) {
-        this.show(`Stop of all, ${at}: ${complaint ?? "sent, but the mapper does not answer now"}`, false, []);
+        this.show(`Stop of all, ${at}: ${complaint ?? "sent, but the mapper does not answer now"}`, false, [{ isFine: false, text: OTHERWISE }]);
       } else {
         const seconds = ((performance.now() - begun) / 1000).toFixed(1);
         const silent = state.answers.filter((answer) => answer.stage === null);
@@ -53,11 +68,7 @@ export class EmergencyStop {
 
   /** How the stop stands: its answers, and a line for each gateway and for the biobots. */
   async look(id) {
-    const [command, parts] = await Promise.all([`/${id}`, `?part_of=${id}&limit=1000`].map(async (path) => {
-      const response = await fetch(`/api/v1/commands${path}`, { headers: authorized(), cache: "no-store" });
-      if (!response.ok) throw new Error(`${path}: ${response.status}`);
-      return response.json();
-    }));
+    const [command, parts] = await Promise.all([getJson(`/api/v1/commands/${id}`), getJson(`/api/v1/commands?part_of=${id}&limit=1000`)]);
     const lines = command.answers.map((answer) => ({ isFine: describe(answer).isFine, text: `${answer.gateway}: ${words(answer)}` }));
     const confirmed = parts.commands.filter((part) => part.outcome === "biobot_confirmed").map((part) => part.biobot);
     const others = parts.commands.filter((part) => part.outcome !== "biobot_confirmed").map((part) => part.biobot);

@@ -1,67 +1,133 @@
-// Requests to the service that sent this page, and to nothing else.
+// Every request to the service that sent this page, and to nothing else: the token goes along, and errors become sentences.
 
-/** Add who asks: the token that this tab was given. */
-export function authorized(headers = {}) {
-  const token = sessionStorage.getItem("biobot.token");
-  return token ? { ...headers, Authorization: `Bearer ${token}` } : headers;
+const TOKEN_KEY = "biobot.token";
+const PATIENCE_MS = 30_000;
+const RETRY_MS = 400;
+
+let token = recallToken();
+
+/** What the mapper answered in place of what was asked for, or that it did not answer (status 0). `text` says what to do. */
+export class Problem extends Error {
+  constructor({ status, detail, facts = {}, retryAfterS = null }) {
+    super(detail);
+    Object.assign(this, { status, detail, facts, retryAfterS });
+  }
+
+  get text() {
+    const steps = {
+      0: "Look whether it runs and whether this machine reaches it; the page tries again by itself.",
+      401: "Sign in with a token.",
+      403: "Sign in with a token that has the role.",
+      429: `Wait ${this.retryAfterS ?? 1} s, then try again.`,
+      500: "The mapper's log says more.",
+    };
+    const step = steps[this.status];
+    return step ? `${sentence(this.detail)} ${step}` : sentence(this.detail);
+  }
 }
 
-/** Return the JSON behind a path, or null if the copy that we have (by its ETag) is still right. */
+/** The token goes with every request from now on; null: none does. It is kept as long as this tab is open, and never in a URL. */
+export function setToken(value) {
+  token = value;
+  try {
+    if (value === null) sessionStorage.removeItem(TOKEN_KEY);
+    else sessionStorage.setItem(TOKEN_KEY, value);
+  } catch {
+    // then it is forgotten when the page is loaded again
+  }
+}
+
+export function hasToken() {
+  return token !== null;
+}
+
+/** A function that returns the JSON behind a path, or null if the copy that it returned before is still right (by its ETag). */
 export function makeFetcher(path) {
   let etag = null;
   return async () => {
-    const response = await fetch(path, { headers: authorized(etag ? { "If-None-Match": etag } : {}), cache: "no-store" });
+    const response = await ask("GET", path, { headers: etag ? { "If-None-Match": etag } : {} });
     if (response.status === 304) return null;
-    if (!response.ok) throw new Error(`${path}: ${response.status}`);
     etag = response.headers.get("ETag");
     return response.json();
   };
 }
 
-const UNREACHED = "no answer from the mapper: nobody can tell whether it was carried out";
-const STAGES = { accepted: "accepted by the gateway", radio_confirmed: "sent by the radio" };
-const OUTCOMES = {
-  biobot_confirmed: "confirmed by the biobot",
-  refused: "refused",
-  failed: "failed",
-  unknown: "sent, but nobody can tell whether it was carried out",
-  undelivered: "not delivered",
-};
-
-/** What to tell of an answer to a command, as it stands: {isFine, text}; isFine is null while it is under way. */
-export function describe({ outcome, stage, reason }) {
-  const words = outcome ? OUTCOMES[outcome] ?? outcome : STAGES[stage] ?? "no answer yet";
-  return { isFine: outcome ? outcome === "biobot_confirmed" : null, text: reason ? `${words}: ${reason}` : words };
+export async function getJson(path, { patienceMs = PATIENCE_MS } = {}) {
+  return (await ask("GET", path, { patienceMs })).json();
 }
 
-/** Send JSON; what comes back, and whether it is no error. An error's `detail` says what is wrong. */
-export async function post(path, body) {
-  const response = await fetch(path, { method: "POST", headers: authorized({ "Content-Type": "application/json" }), body: JSON.stringify(body) });
-  return { isFine: response.ok, answer: await response.json().catch(() => ({ detail: `the mapper answered ${response.status}` })) };
+export async function getBlob(path) {
+  return (await ask("GET", path, {})).blob();
 }
 
-/** Give a command and follow it to its end, telling each stage: {isFine, text}. */
-export async function sendCommand({ key, action, onStage }) {
-  try {
-    const given = await post("/api/v1/commands", { biobot: key, action, id: crypto.randomUUID(), wait_s: 0 });
-    if (!given.isFine) return { isFine: false, text: given.answer.detail };
-    let command = given.answer;
-    while (command.outcome === null) {
-      onStage(describe({ stage: command.stages.at(-1)?.stage }).text);
-      const response = await fetch(`/api/v1/commands/${command.id}?wait_s=20&seen=${command.stages.length}`, { headers: authorized(), cache: "no-store" });
-      if (!response.ok) return { isFine: false, text: UNREACHED };
-      command = await response.json();
+/** Save what is behind a path as a file: fetched with the token, so that the token is in no link. */
+export async function save(path, filename) {
+  const url = URL.createObjectURL(await getBlob(path));
+  const link = document.createElement("a");
+  link.href = url;
+  link.download = filename;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(url), 60_000);
+}
+
+/** Send JSON; what comes back, or null where nothing does. Tried again where nobody answered: only for what is the same when it comes twice. */
+export async function send(method, path, body, { tries = 1, patienceMs = PATIENCE_MS } = {}) {
+  for (let left = tries - 1; ; left--) {
+    try {
+      const headers = body === undefined ? {} : { "Content-Type": "application/json" };
+      const response = await ask(method, path, { headers, body: body === undefined ? undefined : JSON.stringify(body), patienceMs });
+      return response.status === 204 ? null : await response.json();
+    } catch (problem) {
+      if (problem.status !== 0 || left <= 0) throw problem;
+      await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
     }
-    return describe(command);
-  } catch {
-    return { isFine: false, text: UNREACHED };
   }
 }
 
-/** Call `onVersions` with the newest version numbers whenever one has changed, and `onState` with whether the line is up. */
-export function watch({ onVersions, onState }) {
-  const source = new EventSource("/api/v1/events");
-  source.addEventListener("open", () => onState(true));
-  source.addEventListener("error", () => onState(false));
-  source.addEventListener("change", (event) => onVersions(JSON.parse(event.data)));
+/** The body of an endless answer, as text in pieces; ends with the answer, or when `signal` says so. */
+export async function* readTexts(path, signal) {
+  const response = await ask("GET", path, { signal, patienceMs: null });
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  for (;;) {
+    const { done, value } = await reader.read();
+    if (done) return;
+    yield value;
+  }
+}
+
+async function ask(method, path, { headers = {}, body, signal, patienceMs = PATIENCE_MS }) {
+  const asked = token;
+  const ends = [signal, patienceMs === null ? null : AbortSignal.timeout(patienceMs)].filter(Boolean);
+  let response;
+  try {
+    response = await fetch(path, {
+      method,
+      body,
+      headers: asked === null ? headers : { ...headers, Authorization: `Bearer ${asked}` },
+      signal: ends.length ? AbortSignal.any(ends) : undefined,
+      cache: "no-store",
+      credentials: "omit",
+      redirect: "error",
+    });
+  } catch {
+    throw new Problem({ status: 0, detail: "The mapper does not answer." });
+  }
+  if (response.ok || response.status === 304) return response;
+  const facts = await response.json().catch(() => ({}));
+  if (response.status === 401 && asked === token) document.dispatchEvent(new CustomEvent("signinwanted", { detail: facts.detail ?? null }));
+  const retryAfterS = Number(response.headers.get("Retry-After")) || null;
+  throw new Problem({ status: response.status, detail: facts.detail ?? `The mapper answered ${response.status} to ${path}.`, facts, retryAfterS });
+}
+
+function recallToken() {
+  try {
+    return sessionStorage.getItem(TOKEN_KEY);
+  } catch {
+    return null;
+  }
+}
+
+function sentence(text) {
+  const trimmed = text.trim();
+  return trimmed.charAt(0).toUpperCase() + trimmed.slice(1) + (/[.!?]$/.test(trimmed) ? "" : ".");
 }

@@ -1,119 +1,188 @@
-// The table of biobots. Rows are changed in place, so that focus and selection stay while states come in.
+// The table of biobots: sorted, searched, and moved through by the arrow keys. Rows are changed in place, so that focus stays.
 
-import { age, count, secondsOf } from "./format.js";
-import { sendCommand } from "./net.js";
+import { countStates, isWanted, orderBy } from "./biobot_state.js";
+import { giveCommand } from "./commands.js";
+import { make, makeButton } from "./dom.js";
+import { count } from "./format.js";
+import { COLUMNS, RosterRow } from "./roster_row.js";
 
-// The CC2530 runs from 2.0 V on (data sheet SWRS081); this leaves time to act.
-const LOW_BATTERY_MV = 2200;
-const LOST_AFTER_S = 60;
+const element = (id) => document.getElementById(id);
 
 export class Roster {
-  constructor({ body, empty, filter, outcome }) {
-    Object.assign(this, { body, empty, filter, outcome });
+  constructor({ account, live, onCounts, onLandmark }) {
+    Object.assign(this, { account, live, onCounts, onLandmark });
     this.rows = new Map();
-    this.clockOffsetS = 0;
-    this.biobots = [];
-    filter.addEventListener("input", () => this.applyFilter());
+    this.rates = new Map();
+    this.low = new Set();
+    this.sorted = { column: "id", isDown: false };
+    this.reachable = null;
+    this.body = element("rows");
+    this.makeHead();
+    element("filter").addEventListener("input", () => this.arrange());
+    element("only").addEventListener("change", () => this.arrange());
+    this.body.addEventListener("keydown", (event) => this.onKey(event));
+    this.body.addEventListener("focusin", (event) => this.reach(this.rows.get(event.target.closest("tr").dataset.key)));
   }
 
-  show({ biobots, now_wall_ns }) {
-    this.clockOffsetS = secondsOf(now_wall_ns) - Date.now() / 1000;
-    this.biobots = biobots;
+  /** Show the biobots of an answer of /api/v1/biobots. */
+  show({ biobots }) {
+    const nowS = this.live.serverNow();
     const gone = new Set(this.rows.keys());
-    let place = this.body.firstElementChild;
     for (const biobot of biobots) {
       gone.delete(biobot.key);
       const row = this.rows.get(biobot.key) ?? this.addRow(biobot.key);
-      if (row.element !== place) this.body.insertBefore(row.element, place);
-      place = row.element.nextElementSibling;
-      row.biobot = biobot;
-      this.update(row);
+      this.update(row, biobot, nowS);
     }
-    for (const key of gone) {
-      this.rows.get(key).element.remove();
-      this.rows.delete(key);
-    }
-    this.applyFilter();
+    gone.forEach((key) => this.removeRow(key));
+    this.arrange();
+    this.tellCounts(nowS);
+  }
+
+  /** Learn how many encounters each has a minute, by key. */
+  setRates(rates) {
+    this.rates = rates;
+    this.updateAll();
+  }
+
+  /** Learn whose battery is low: a set of keys. */
+  setLow(low) {
+    this.low = low;
+    this.updateAll();
+  }
+
+  updateAll() {
+    const nowS = this.live.serverNow();
+    this.rows.forEach((row) => this.update(row, row.biobot, nowS));
+    this.arrange();
+  }
+
+  update(row, biobot, nowS) {
+    row.update(biobot, { nowS, rate: this.rates.get(row.key) ?? null, isLow: this.low.has(row.key) });
+  }
+
+  /** Show one biobot alone, and give its row the focus. */
+  find(key) {
+    element("only").value = "";
+    element("filter").value = key;
+    this.arrange();
+    const row = this.rows.get(key);
+    if (!row) return;
+    this.reach(row);
+    row.buttons[0].focus();
   }
 
   tick() {
-    for (const row of this.rows.values()) this.updateAge(row);
+    const nowS = this.live.serverNow();
+    this.rows.forEach((row) => row.tick(nowS));
+    this.tellCounts(nowS);
+  }
+
+  tellCounts(nowS) {
+    this.onCounts(countStates([...this.rows.values()].map((row) => row.biobot), nowS), this.rows.size);
+  }
+
+  makeHead() {
+    const cells = COLUMNS.map(({ name, label, isNumber, more }) => {
+      const button = makeButton(label, () => this.sortBy(name), { title: more ?? "" });
+      return make("th", { scope: "col", role: "columnheader", className: `c-${name}${isNumber ? " number" : ""}` }, button);
+    });
+    element("columns").append(...cells, make("th", { scope: "col", role: "columnheader", className: "c-commands" }, "command"));
+    this.showSorted();
+  }
+
+  sortBy(column) {
+    this.sorted = { column, isDown: this.sorted.column === column && !this.sorted.isDown };
+    this.showSorted();
+    this.arrange();
+  }
+
+  showSorted() {
+    [...element("columns").children].slice(0, COLUMNS.length).forEach((cell, index) => {
+      const isSorted = COLUMNS[index].name === this.sorted.column;
+      if (isSorted) cell.setAttribute("aria-sort", this.sorted.isDown ? "descending" : "ascending");
+      else cell.removeAttribute("aria-sort");
+    });
+  }
+
+  /** The rows in their order. As long as somebody points at the table or is in it, none moves: a press must not meet another biobot. */
+  inOrder(nowS) {
+    const rows = [...this.rows.values()];
+    if (this.body.matches(":hover, :focus-within")) {
+      const places = new Map([...this.body.children].map((element, place) => [element, place]));
+      return rows.sort((a, b) => (places.get(a.element) ?? rows.length) - (places.get(b.element) ?? rows.length));
+    }
+    const compare = orderBy(this.sorted.column, { nowS, rates: this.rates });
+    rows.sort((a, b) => compare(a.biobot, b.biobot));
+    return this.sorted.isDown ? rows.reverse() : rows;
+  }
+
+  /** Bring the rows into order and hide those that are not looked for; what is in its place stays untouched. */
+  arrange() {
+    const nowS = this.live.serverNow();
+    const rows = this.inOrder(nowS);
+    let place = this.body.firstElementChild;
+    for (const row of rows) {
+      if (row.element === place) place = place.nextElementSibling;
+      else this.body.insertBefore(row.element, place);
+    }
+    const words = element("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
+    const kind = element("only").value;
+    this.shown = rows.filter((row) => isWanted(row.biobot, { words, kind, nowS, low: this.low }));
+    const shown = new Set(this.shown);
+    rows.forEach((row) => {
+      row.element.hidden = !shown.has(row);
+    });
+    element("no-rows").hidden = shown.size > 0;
+    element("no-rows").textContent = rows.length ? "No biobot is like that." : "No gateway has reported a biobot yet.";
+    const told = words.length || kind ? `${count(shown.size)} of ${count(rows.length)}` : "";
+    if (element("shown").textContent !== told) element("shown").textContent = told;
+    if (!shown.has(this.reachable)) this.reach(this.shown[0] ?? null);
   }
 
   addRow(key) {
-    const element = document.createElement("tr");
-    const cells = Object.fromEntries(["id", "mode", "battery", "heard", "encounters", "command"].map((name) => [name, element.insertCell()]));
-    cells.id.textContent = key;
-    cells.encounters.className = "number";
-    const modeLabel = document.createElement("span");
-    cells.mode.append(modeLabel);
-    const actions = document.createElement("div");
-    actions.className = "actions";
-    const buttons = ["start", "stop"].map((action) => {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.className = action;
-      button.textContent = action === "stop" ? "Stop" : "Start";
-      button.setAttribute("aria-label", `${button.textContent} biobot ${key}`);
-      button.addEventListener("click", () => this.command(row, action));
-      return button;
-    });
-    actions.append(...buttons);
-    cells.command.append(actions);
-    const row = { element, cells, modeLabel, buttons, biobot: null };
+    const onCommand = (row, action, label) => this.command(row, action, label);
+    const row = new RosterRow({ key, onCommand, onLandmark: this.onLandmark, account: this.account });
     this.rows.set(key, row);
     return row;
   }
 
-  update(row) {
-    const { biobot, cells } = row;
-    const name = biobot.is_landmark ? "landmark" : biobot.mode !== "S" ? "walking" : biobot.is_halted ? "stopped" : "still";
-    setText(row.modeLabel, name);
-    row.modeLabel.className = `mode ${name}`;
-    setText(cells.battery, biobot.battery_mv === null ? "–" : `${(biobot.battery_mv / 1000).toFixed(2)} V`);
-    cells.battery.classList.toggle("low", biobot.battery_mv !== null && biobot.battery_mv < LOW_BATTERY_MV);
-    setText(cells.encounters, count(biobot.n_encounters));
-    row.element.classList.toggle("away", !biobot.is_reachable);
-    row.element.title = biobot.is_reachable ? `through ${biobot.gateway}` : `gateway ${biobot.gateway} is away`;
-    this.updateAge(row);
+  removeRow(key) {
+    this.rows.get(key).remove();
+    this.rows.delete(key);
   }
 
-  updateAge({ biobot, cells }) {
-    const seconds = biobot.last_heard_wall_ns === null ? null : Date.now() / 1000 + this.clockOffsetS - secondsOf(biobot.last_heard_wall_ns);
-    setText(cells.heard, age(seconds));
-    cells.heard.classList.toggle("low", seconds !== null && seconds > LOST_AFTER_S);
+  reach(row) {
+    if (row === this.reachable) return;
+    this.reachable?.setReachable(false);
+    this.reachable = row;
+    row?.setReachable(true);
   }
 
-  applyFilter() {
-    const wanted = this.filter.value.trim().toLowerCase();
-    let n = 0;
-    for (const { element, biobot, modeLabel } of this.rows.values()) {
-      element.hidden = wanted !== "" && !biobot.key.startsWith(wanted) && !modeLabel.textContent.startsWith(wanted);
-      n += !element.hidden;
-    }
-    this.empty.hidden = n > 0;
-    this.empty.textContent = this.rows.size ? "No biobot is like that." : "No gateway has reported a biobot yet.";
+  onKey(event) {
+    const row = this.rows.get(event.target.closest("tr").dataset.key);
+    const at = this.shown.indexOf(row);
+    const to = { ArrowDown: at + 1, ArrowUp: at - 1, PageDown: at + 10, PageUp: at - 10, Home: 0, End: this.shown.length - 1 }[event.key];
+    if (to === undefined || at < 0) return;
+    event.preventDefault();
+    const next = this.shown[Math.min(Math.max(to, 0), this.shown.length - 1)];
+    this.reach(next);
+    next.buttons[Math.max(row.buttons.indexOf(event.target), 0)].focus();
   }
 
-  async command(row, action) {
-    const label = `${action === "stop" ? "Stop" : "Start"} biobot ${row.biobot.key}`;
-    // A second press of Start would be a second stimulus; Stop may be pressed as often as one likes.
-    const start = row.buttons[0];
-    start.disabled = true;
-    this.tell(`${label}: sent …`, null);
+  async command(row, action, label) {
     const begun = performance.now();
-    const onStage = (stage) => this.tell(`${label}: ${stage} …`, null);
-    const { isFine, text } = await sendCommand({ key: row.biobot.key, action, onStage });
-    start.disabled = false;
-    this.tell(`${label}: ${text} (${((performance.now() - begun) / 1000).toFixed(1)} s)`, isFine);
+    const onStage = (stage) => {
+      row.showCommand(stage, label);
+      this.tell(`${label}: ${stage.text} …`, null);
+    };
+    onStage({ isFine: null, step: 0, text: "sent" });
+    const end = await giveCommand({ key: row.key, action, onStage });
+    row.showCommand(end, label);
+    this.tell(`${label}: ${end.text} (${((performance.now() - begun) / 1000).toFixed(1)} s)`, end.isFine);
   }
 
   tell(text, isFine) {
-    this.outcome.textContent = text;
-    this.outcome.className = `outcome ${isFine === null ? "" : isFine ? "good" : "bad"}`;
+    element("outcome").textContent = text;
+    element("outcome").className = `outcome ${isFine === null ? "" : isFine ? "good" : "bad"}`;
   }
-}
-
-function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
 }

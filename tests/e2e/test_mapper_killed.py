@@ -61,7 +61,7 @@ def test_whom_a_killed_mapper_moves_is_stopped_by_the_dead_man(tmp_path: Path) -
             )
             assert standing["cause"] == "command"
             system.post("/api/v1/stop", {"wait_s": 30})
-            system.post("/api/v1/mission/orders", {"action": "pause"})
+            system.post("/api/v1/mission/orders", {"action": "finish"})
         journal = tmp_path / "gateway.sqlite"
         assert "turn_left" in {one.get("action") for one in audited(journal, operator="anna")}
         by_other = audited(journal, operator=OPERATOR)

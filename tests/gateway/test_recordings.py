@@ -10,8 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.errors import RecordingError, TransportClosedError
+from gateway.recordings.listing import list_recordings
 from gateway.recordings.recorder import Recorder, record_to_directory, record_to_file
-from gateway.recordings.recording_file import MAX_DATA, Damage, RecordingHeader, encode_header, encode_record, read_header, read_records
+from gateway.recordings.recording_file import (
+    MAX_DATA,
+    Damage,
+    RecordingHeader,
+    encode_header,
+    encode_record,
+    find_last_wall_ns,
+    read_header,
+    read_records,
+)
 from gateway.recordings.replaying import open_recording
 from gateway.transports.memory import connected_pair
 from gateway.transports.recording import LineRecord, RecordingTransport, RecordKind
@@ -189,3 +199,26 @@ def test_a_recording_transport_tells_all_that_passes_and_how_it_ended() -> None:
     assert [one.kind.name for one in told] == ["OPENED", "BYTES_OUT", "BYTES_IN", "LOST"]
     assert [one.data for one in told[1:3]] == [b"ask", b"answer"]
     assert sorted(one.monotonic_ns for one in told) == [one.monotonic_ns for one in told]
+
+
+@given(written=st.lists(records, max_size=6), torn=st.binary(max_size=60))
+def test_the_end_of_a_recording_is_its_last_whole_record(written: list[LineRecord], torn: bytes) -> None:
+    stream = io.BytesIO(encode_header(HEADER) + b"".join(map(encode_record, written)) + torn)
+    found, _ = read_all(stream.getvalue()[len(encode_header(HEADER)) :])
+    assert find_last_wall_ns(stream) == (found[-1].wall_ns if found else None)
+
+
+def test_recordings_are_listed_the_oldest_first_and_what_is_none_is_passed_over(tmp_path: Path) -> None:
+    assert list_recordings(None, gateway="base1").is_recording is False
+    assert list_recordings(str(tmp_path / "missing"), gateway="base1").recordings == ()
+    for name, wall_ns in (("b", 5), ("a", 9)):
+        header = RecordingHeader(port="tcp:host:1", dialect="native", software="test", wall_ns=wall_ns, monotonic_ns=0)
+        record = LineRecord(kind=RecordKind.BYTES_IN, monotonic_ns=1, wall_ns=wall_ns + 1, data=b"x")
+        (tmp_path / f"{name}.biorec").write_bytes(encode_header(header) + encode_record(record))
+    (tmp_path / "c.biorec").write_bytes(b"something else")
+    (tmp_path / "d.biorec").write_bytes(b"")
+    found = list_recordings(str(tmp_path), gateway="base1")
+    assert [(entry.name, entry.radio, entry.begin_wall_ns, entry.end_wall_ns) for entry in found.recordings] == [
+        ("b.biorec", "tcp:host:1", 5, 6),
+        ("a.biorec", "tcp:host:1", 9, 10),
+    ]

@@ -14,6 +14,7 @@ from firmware_protocol.contract.commands import CommanderBeat, CommandStage, Ref
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.mission_orders import MissionAnswer, MissionOrder
 from firmware_protocol.contract.presence import Kind, build_token_key
+from firmware_protocol.contract.recordings import RecordingList
 from firmware_protocol.contract.records import (
     Cause,
     EncounterRecord,
@@ -162,6 +163,7 @@ class FakeGateway:
         self.history_requests: list[HistoryRequest] = []
         self.answer: Answer = lambda _request: (Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED)
         self.orders: list[MissionOrder] = []
+        self.recordings = RecordingList(gateway=name, is_recording=False)
         self.order_answer: Callable[[MissionOrder], tuple[bool, str]] = lambda _order: (True, "")
         self.beats: list[CommanderBeat] = []
         self.commanders: set[str] = set()
@@ -193,6 +195,7 @@ class FakeGateway:
         self._kept: list[Any] = [
             self._session.declare_queryable(self._key(Stream.HISTORY), self._on_history),
             self._session.declare_queryable(self._key(Stream.COMMAND), self._on_command),
+            self._session.declare_queryable(self._key(Stream.RECORDINGS), self._on_recordings),
             self._session.declare_subscriber(
                 build_key(site=SITE, stream=Stream.WATERMARK, gateway=name, mapper=ANY),
                 lambda sample: self.watermarks.append(decode_record(sample.payload.to_bytes(), Watermark)),
@@ -290,6 +293,11 @@ class FakeGateway:
         key = build_key(site=SITE, stream=Stream.STIMULATION, gateway=self.name, node=account.node)
         self._session.put(key, encode_record(account))
 
+    def be_alive_at(self, site: str) -> None:
+        """Be alive at another site, too, as another gateway on the same router is."""
+        key = build_key(site=site, stream=Stream.ALIVE, gateway=self.name)
+        self._kept.append(self._session.liveliness().declare_token(key))
+
     def _key(self, stream: Stream) -> str:
         return build_key(site=SITE, stream=stream, gateway=self.name)
 
@@ -322,6 +330,10 @@ class FakeGateway:
         self.commands.append(request)
         # Answers take their time: Zenoh's own thread must not wait for them.
         threading.Thread(target=self._reply, args=(query, request)).start()
+
+    def _on_recordings(self, query: zenoh.Query) -> None:
+        with query:
+            query.reply(self._key(Stream.RECORDINGS), encode_record(self.recordings))
 
     def _on_order(self, query: zenoh.Query) -> None:
         with query:

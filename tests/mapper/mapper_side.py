@@ -10,6 +10,8 @@ from pathlib import Path
 
 from firmware_protocol.contract.records import JournalRecord
 from mapper.access import Access, NewToken, Rate, RateLimits, Role, TokenRegister, add_token
+from mapper.alert_rules import AlertLimits
+from mapper.alert_watch import AlertWatch
 from mapper.api.services import Engines, Services
 from mapper.bus import Bus
 from mapper.changes import Changes, Topic
@@ -53,18 +55,21 @@ class Side:
     commander: Commander
     accounts: StimulationAccounts
     current_map: CurrentMap
+    history: MapHistory
+    alerts: AlertWatch
     access: Access
     tokens: Mapping[Role, NewToken]
-    history: MapHistory
     pins: PinBoard
 
     @property
     def services(self) -> Services:
         return Services(
+            bus=self.bus,
             records=self.records,
             fleet=self.fleet,
             current_map=self.current_map,
             history=self.history,
+            alerts=self.alerts,
             commands=self.desk,
             emergency_stop=EmergencyStop(self.desk),
             mission=MissionDesk(bus=self.bus),
@@ -146,6 +151,17 @@ async def mapper_side(
         window_ns=window_ns,
         clock=clock,
     )
+    alerts = AlertWatch(
+        records=records,
+        fleet=fleet,
+        changes=changes,
+        current_map=current_map,
+        limits=AlertLimits(),
+        sure=0.8,
+        is_connected=lambda: bus.is_connected,
+        faults=lambda: list(current_map.faults),
+    )
+    await alerts.restore()
     if with_map:
         await current_map.restore()
     folder = tempfile.TemporaryDirectory()
@@ -166,9 +182,10 @@ async def mapper_side(
             commander=commander,
             accounts=accounts,
             current_map=current_map,
+            history=history,
+            alerts=alerts,
             access=access,
             tokens=tokens,
-            history=history,
             pins=pins,
         )
         assert not any(task.done() for task in tasks)

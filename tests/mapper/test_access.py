@@ -11,13 +11,15 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from firmware_protocol.contract.commands import Stage
-from mapper.access import Role, contains_token, revoke_token
-from mapper.api.app import create_app, create_unguarded_app
+from mapper.access import ANONYMOUS, Role, contains_token, revoke_token
+from mapper.api.app import create_unguarded_app
 from mapper.api.door import Door
 from mapper.api.event_stream import EventStream
+from mapper.api.guards import Guard
+from mapper.changes import Topic
 from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.mapper_side import Side, mapper_side, until
-from tests.mapper.web_side import BASE, check_against, client_of, meet, openapi_of, run_story
+from tests.mapper.web_side import BASE, check_against, client_of, meet, run_story
 
 SAFE = {"get", "head", "options"}
 OPEN = {"/", "/healthz", "/readyz", "/openapi.json"}
@@ -31,6 +33,11 @@ def operations(document: dict[str, Any]) -> Iterator[tuple[str, str, Role | None
             yield method, path, None if is_open else Role(operation["x-role"])
 
 
+async def described(client: httpx.AsyncClient) -> dict[str, Any]:
+    document: dict[str, Any] = (await client.get("/openapi.json")).json()
+    return document
+
+
 def filled(path: str) -> str:
     return re.sub(r"\{[^}]*\}", "77", path)
 
@@ -42,10 +49,12 @@ def bearer(text: str) -> dict[str, str]:
 def test_every_operation_admits_its_role_and_nobody_below_it() -> None:
     async def story() -> None:
         async with mapper_side(1, writes_burst=1e6) as side, client_of(side, role=None) as client:
-            document = openapi_of(side)
+            document = await described(client)
             # A token of each role, one that was revoked, and what is none.
             revoked = side.tokens[Role.ADMIN].text
             admin = (await side.access.register.add(name="eve", role=Role.ADMIN)).text
+            me = await client.get("/api/v1/me")
+            assert me.json() == {"name": "anonymous", "role": "viewer", "is_anonymous": True}
             texts = {**{role: made.text for role, made in side.tokens.items()}, Role.ADMIN: admin}
             await side.access.register.revoke(side.tokens[Role.ADMIN].record.id)
             flipped = admin[:-1] + ("0" if admin[-1] != "0" else "1")
@@ -116,7 +125,7 @@ def test_a_route_that_nobody_thought_of_is_closed_and_none_is_open_by_mistake() 
 def test_where_others_may_come_in_whoever_looks_needs_a_token_too() -> None:
     async def story() -> None:
         async with mapper_side(1, allows_anonymous_reading=False) as side, client_of(side, role=None) as client:
-            document = openapi_of(side)
+            document = await described(client)
             for method, path, needed in operations(document):
                 answer = await client.request("head" if path == "/api/v1/events" else method, filled(path))
                 assert (answer.status_code == HTTPStatus.UNAUTHORIZED) == (needed is not None), path
@@ -125,17 +134,10 @@ def test_where_others_may_come_in_whoever_looks_needs_a_token_too() -> None:
             assert (await client.get("/api/v1/none")).status_code == HTTPStatus.UNAUTHORIZED
             viewer = bearer(side.tokens[Role.VIEWER].text)
             assert (await client.get("/api/v1/biobots", headers=viewer)).status_code == HTTPStatus.OK
-
-    asyncio.run(story())
-
-
-def test_one_is_told_who_one_is() -> None:
-    async def story() -> None:
-        async with mapper_side(1) as side, client_of(side, role=None) as client:
-            for role, name in ((None, "anonymous"), (Role.VIEWER, "vera"), (Role.OPERATOR, "anna"), (Role.ADMIN, "ada")):
-                me = await client.get("/api/v1/me", headers={} if role is None else bearer(side.tokens[role].text))
-                check_against(openapi_of(side), "/api/v1/me", me)
-                assert me.json() == {"name": name, "role": str(role or Role.VIEWER), "is_anonymous": role is None}
+            for role, name in ((Role.VIEWER, "vera"), (Role.OPERATOR, "anna"), (Role.ADMIN, "ada")):
+                me = await client.get("/api/v1/me", headers=bearer(side.tokens[role].text))
+                check_against(document, "/api/v1/me", me)
+                assert me.json() == {"name": name, "role": str(role), "is_anonymous": False}
 
     asyncio.run(story())
 
@@ -143,7 +145,7 @@ def test_one_is_told_who_one_is() -> None:
 def test_tokens_are_made_used_and_revoked_over_http() -> None:
     async def story() -> None:
         async with mapper_side(1) as side, client_of(side, role=Role.ADMIN) as client:
-            document, path = openapi_of(side), "/api/v1/tokens"
+            document, path = await described(client), "/api/v1/tokens"
             made = await client.post(path, json={"name": " bert ", "role": "operator"})
             check_against(document, path, made, method="post")
             assert (made.status_code, made.json()["name"], made.headers["cache-control"]) == (HTTPStatus.CREATED, "bert", "no-store")
@@ -162,10 +164,20 @@ def test_tokens_are_made_used_and_revoked_over_http() -> None:
             assert tokens[0]["last_used_wall_ns"] is None
             assert not contains_token(listed.text)
             own = made.headers["location"]
+            person = side.access.register.identify(made.json()["token"])
+            assert person is not None
+            streams = [
+                EventStream(side.changes).open(is_welcome=lambda: side.access.register.is_welcome(person)).body_iterator,
+                EventStream(side.changes).open(is_welcome=lambda: side.access.register.is_welcome(ANONYMOUS)).body_iterator,
+            ]
+            assert all([await anext(aiter(stream)) for stream in streams])
             gone = await client.delete(own)
             check_against(document, f"{path}/{{token_id}}", gone, method="delete")
             assert gone.json()["revoked_wall_ns"] is not None
             assert (await client.get("/api/v1/me", headers=bert)).status_code == HTTPStatus.UNAUTHORIZED
+            side.changes.bump(Topic.MAP)
+            assert [event async for event in streams[0]] == []  # it ends with the token
+            assert await anext(aiter(streams[1]))
             assert (await client.delete(own)).json() == gone.json()
             last = await client.delete(f"{path}/{side.tokens[Role.ADMIN].record.id}")
             assert last.status_code == HTTPStatus.CONFLICT
@@ -215,7 +227,7 @@ def test_a_token_in_a_url_is_refused_and_not_repeated() -> None:
 def test_who_writes_too_often_waits_but_no_stop_does() -> None:
     async def story() -> None:
         async with mapper_side(1, writes_burst=3.0) as side, client_of(side) as client:
-            document, orders = openapi_of(side), "/api/v1/mission/orders"
+            document, orders = await described(client), "/api/v1/mission/orders"
             start, stop = {"biobot": 5, "action": "start"}, {"biobot": 5, "action": "stop", "wait_s": 0}
             answers = [await client.post("/api/v1/commands", json=start) for _ in range(8)]
             assert HTTPStatus.TOO_MANY_REQUESTS in {answer.status_code for answer in answers}
@@ -261,13 +273,11 @@ def test_a_command_bears_the_name_of_the_tokens_holder_and_no_other() -> None:
 
 def test_what_keeps_the_page_to_itself_over_tls_too() -> None:
     async def story() -> None:
-        async with mapper_side(1) as side:
-            for is_tls in (False, True):
-                app = create_app(side.services, stream=EventStream(side.changes), allowed_hosts=None, is_tls=is_tls)
-                async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url=BASE) as client:
-                    for path in ("/", "/api/v1/biobots", "/api/v1/tokens"):
-                        headers = (await client.get(path)).headers
-                        assert ("strict-transport-security" in headers) == is_tls
-                        assert "geolocation=()" in headers["permissions-policy"]
+        for is_tls in (False, True):
+            app = Guard(Response("fine"), allowed_hosts=None, is_tls=is_tls)
+            async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url=BASE) as client:
+                headers = (await client.get("/")).headers
+            assert ("strict-transport-security" in headers) == is_tls
+            assert "geolocation=()" in headers["permissions-policy"]
 
     asyncio.run(story())

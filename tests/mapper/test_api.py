@@ -7,6 +7,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from http import HTTPStatus
 
 import httpx
+import msgspec
+import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.routing import Route
@@ -20,6 +22,8 @@ from mapper.api.app import create_unguarded_app
 from mapper.api.errors import STATUS_OF
 from mapper.api.event_stream import EventStream
 from mapper.api.guards import MAX_BODY_BYTES
+from mapper.length_shares import WHOLE
+from mapper.map_snapshot import pack, unpack
 from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, account, encounter, free_port, mission
 from tests.mapper.mapper_side import Side, mapper_side, until
 from tests.mapper.ring import ring_records
@@ -99,6 +103,26 @@ def test_the_map_is_sent_once_for_a_version() -> None:
             head = await client.head(path)
             assert (head.status_code, head.content) == (HTTPStatus.OK, b"")
             assert head.headers["content-length"] == first.headers["content-length"]
+
+    run(story, with_map=True)
+
+
+def test_lengths_between_points_come_with_a_map_and_for_no_other() -> None:
+    async def story(side: Side, gateway: FakeGateway, client: httpx.AsyncClient) -> None:
+        gateway.journal_records(ring_records())
+        gateway.publish_status()
+        await until(lambda: side.current_map.latest is not None)
+        snapshot = side.current_map.require()
+        n_points = len((await client.get("/api/v1/map")).json()["points"])
+        newest = await client.get("/api/v1/map/lengths", params={"version": snapshot.version})
+        assert len(newest.content) == n_points * (n_points - 1)
+        assert (await client.get("/api/v1/map/lengths")).content == newest.content
+        assert max(np.frombuffer(newest.content, dtype="<u2")) == WHOLE
+        other = await client.get("/api/v1/map/lengths", params={"version": snapshot.version + 1})
+        assert (other.status_code, "is not the newest" in other.json()["detail"]) == (HTTPStatus.CONFLICT, True)
+        kept = unpack(pack(snapshot.finished))
+        assert kept is not None
+        assert msgspec.structs.replace(kept.documents, lengths=newest.content) == snapshot.finished.documents
 
     run(story, with_map=True)
 

@@ -1,39 +1,22 @@
 """The operator's page in a real browser: it works empty and full, on a desk and on a phone, and asks nobody but its own service."""
 
-import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, expect
 
 from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.records import Cause, EncounterRecord, Mode
 from firmware_protocol.units import EVERYBODY, Nanoseconds, NodeId
+from tests.mapper.browser_side import CHROMIUM, PHONE, WAIT_MS, fits_its_width, launched, opened, picture, until
 from tests.mapper.fake_gateway import FakeGateway, free_port
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving, token_of
 from tests.mapper.worlds import FIRST_LANDMARK
-
-CHROMIUM = shutil.which("chromium")
-ARTIFACTS = Path(__file__).parents[2] / "artifacts"
-WAIT_MS = 20_000
-FLAGS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    # A request to anywhere else fails, and is noted.
-    "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
-]
 
 pytestmark = [
     pytest.mark.browser,
@@ -59,57 +42,10 @@ COUNT_HOLE_PIXELS = """() => {
 }"""
 
 
-@dataclass
-class Watched:
-    """A page, and what it must not do."""
-
-    page: Page
-    outside: list[str] = field(default_factory=list)
-    faults: list[str] = field(default_factory=list)
-
-
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    with launched() as chromium:
         yield chromium
-        chromium.close()
-
-
-@contextmanager
-def opened(
-    browser: Browser, url: str, *, directory: Path, width: int = 1280, height: int = 800, scheme: str = "light"
-) -> Iterator[Watched]:
-    page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="dark" if scheme == "dark" else "light")
-    watched = Watched(page=page)
-    page.set_default_timeout(WAIT_MS)
-    page.on("request", lambda request: None if request.url.startswith((url, "data:", "blob:")) else watched.outside.append(request.url))
-    page.on("console", lambda message: watched.faults.append(message.text) if message.type in {"error", "warning"} else None)
-    page.on("pageerror", lambda error: watched.faults.append(str(error)))
-    token = token_of(directory)
-    page.add_init_script(f"sessionStorage.setItem('biobot.token', '{token}')")
-    page.on("request", lambda request: watched.faults.append("a token in a URL") if token[16:32] in request.url else None)
-    page.goto(url)
-    yield watched
-    assert watched.outside == []
-    assert watched.faults == []
-    page.close()
-
-
-def until(is_met: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + WAIT_MS / 1000
-    while not is_met():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
-def picture(page: Page, name: str) -> None:
-    ARTIFACTS.mkdir(exist_ok=True)
-    page.screenshot(path=ARTIFACTS / f"{name}.png", full_page=True)
-
-
-def fits_its_width(page: Page) -> bool:
-    return bool(page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth"))
 
 
 def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path: Path) -> None:
@@ -119,7 +55,7 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
     with (
         FakeGateway(port=port) as gateway,
         serving(tmp_path, connect=port) as (url, _process),
-        opened(browser, url, directory=tmp_path) as watched,
+        opened(browser, url, token=token_of(tmp_path)) as watched,
     ):
         page = watched.page
         expect(page.get_by_text("Waiting for encounters")).to_be_visible()
@@ -149,7 +85,7 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         page.get_by_role("button", name="Barcode").click()
         expect(page.locator("#diagram rect[data-hole]")).to_have_count(1)
         page.get_by_role("button", name="Diagram", exact=True).click()
-        expect(page.get_by_role("row")).to_have_count(1 + 20 + 5)
+        expect(page.locator("#rows").get_by_role("row")).to_have_count(20 + 5)
         expect(page.get_by_role("row").filter(has_text=str(FIRST_LANDMARK)).first).to_contain_text("landmark")
         expect(page.get_by_role("row").filter(has=page.get_by_role("button", name="Stop biobot 1", exact=True))).to_contain_text("3.40 V")
 
@@ -164,12 +100,12 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         assert fits_its_width(page)
         page.wait_for_timeout(300)
         picture(page, "page-light")
-        with opened(browser, url, directory=tmp_path, scheme="dark") as dark:
+        with opened(browser, url, token=token_of(tmp_path), scheme="dark") as dark:
             expect(dark.page.locator("#holes")).to_have_text("1")
             dark.page.wait_for_timeout(300)
             assert dark.page.evaluate(COUNT_HOLE_PIXELS) > 300
             picture(dark.page, "page-dark")
-        with opened(browser, url, directory=tmp_path, width=390, height=844) as phone:
+        with opened(browser, url, token=token_of(tmp_path), size=PHONE) as phone:
             expect(phone.page.locator("#holes")).to_have_text("1")
             phone.page.wait_for_timeout(300)
             assert phone.page.evaluate(COUNT_HOLE_PIXELS) > 100
@@ -182,7 +118,7 @@ def test_the_page_can_be_used_with_the_keyboard_alone(browser: Browser, tmp_path
     with (
         FakeGateway(port=port) as gateway,
         serving(tmp_path, connect=port) as (url, _process),
-        opened(browser, url, directory=tmp_path) as watched,
+        opened(browser, url, token=token_of(tmp_path)) as watched,
     ):
         page = watched.page
 
@@ -206,7 +142,7 @@ def test_a_start_pressed_twice_is_given_once_and_a_stop_meanwhile_goes_out(brows
     with (
         FakeGateway(port=port) as gateway,
         serving(tmp_path, connect=port) as (url, _process),
-        opened(browser, url, directory=tmp_path) as watched,
+        opened(browser, url, token=token_of(tmp_path)) as watched,
     ):
         page = watched.page
 
@@ -233,17 +169,6 @@ def test_a_start_pressed_twice_is_given_once_and_a_stop_meanwhile_goes_out(brows
         assert [command.action for command in gateway.commands] == [StimulationAction.START, StimulationAction.STOP]
 
 
-def test_the_page_says_when_the_mapper_is_gone(browser: Browser, tmp_path: Path) -> None:
-    port = free_port()
-    page = browser.new_page()
-    page.set_default_timeout(WAIT_MS)
-    with serving(tmp_path, connect=port) as (url, _process):
-        page.goto(url)
-        expect(page.locator("#link")).to_contain_text("no gateway yet")
-    expect(page.locator("#link")).to_contain_text("mapper does not answer", timeout=WAIT_MS)
-    page.close()
-
-
 def test_a_page_says_that_its_map_is_of_a_window_and_by_another_method(browser: Browser, tmp_path: Path) -> None:
     port = free_port()
     arguments = ["--window-s", "40", "--method", "paper"]
@@ -255,7 +180,7 @@ def test_a_page_says_that_its_map_is_of_a_window_and_by_another_method(browser: 
             return bool(httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
 
         until(has_map)
-        with opened(browser, url, directory=tmp_path) as watched:
+        with opened(browser, url, token=token_of(tmp_path)) as watched:
             expect(watched.page.locator("#notices")).to_contain_text('a map of the last 40 s · by the method "paper"')
 
 
@@ -264,7 +189,7 @@ def test_one_press_stops_all_and_says_who_confirmed(browser: Browser, tmp_path: 
     with (
         FakeGateway(port=port) as gateway,
         serving(tmp_path, connect=port) as (url, _process),
-        opened(browser, url, directory=tmp_path) as watched,
+        opened(browser, url, token=token_of(tmp_path)) as watched,
     ):
         page = watched.page
         is_free = threading.Event()
@@ -310,7 +235,7 @@ def test_one_press_stops_all_and_says_who_confirmed(browser: Browser, tmp_path: 
         assert (command.node, command.action, command.operator) == (EVERYBODY, StimulationAction.STOP_ALL, "anna")
         picture(page, "page-stop")
         gateway.answer = lambda _request: (Stage.ACCEPTED, Stage.BIOBOT_CONFIRMED)
-        with opened(browser, url, directory=tmp_path, width=390, height=844) as phone:
+        with opened(browser, url, token=token_of(tmp_path), size=PHONE) as phone:
             phone.page.mouse.wheel(0, 2000)
             phone.page.get_by_role("button", name="Stop all").click()
             expect(phone.page.get_by_role("alert")).to_contain_text("confirmed by all that can be reached")

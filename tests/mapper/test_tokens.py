@@ -186,8 +186,7 @@ def test_two_at_a_time_and_a_kill_lose_no_token(tmp_path: Path) -> None:
 _ON_A_FULL_DISK = """
 import resource, signal, sys
 from pathlib import Path
-from mapper.access import Role, add_token
-from mapper.errors import TokenFileError
+from mapper.access import Role, TokenFileError, add_token
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 try:
