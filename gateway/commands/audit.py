@@ -97,9 +97,10 @@ def _show(path: Path, selection: AuditSelection, *, is_json: bool, follows: bool
     last = 0
     while True:
         for row in read_audit_rows(path, selection, after=last):
-            last = row.id
+            last = row.last if isinstance(row, UnreadableRow) else row.id
             if isinstance(row, UnreadableRow):
-                complain(f"row {row.id} is not as a gateway writes it ({row.reason}); see `biobot-gateway audit verify {path}`")
+                which = f"row {row.id} is" if row.id == last else f"rows {row.id} to {last} are"
+                complain(f"{which} not as a gateway writes it ({row.reason}); see `biobot-gateway audit verify {path}`")
             else:
                 print(json.dumps(shown(row)) if is_json else line_of(row), flush=follows)
         if not follows:
@@ -111,20 +112,20 @@ def _export(path: Path, selection: AuditSelection, *, csv: Path | None, json_lin
     out = csv or json_lines
     assert out is not None
     expect_output(out, journal=path)
-    unreadable: list[int] = []
+    unreadable: list[str] = []
 
     def readable() -> Iterator[AuditEntry]:
         for row in read_audit_rows(path, selection):
             if isinstance(row, AuditEntry):
                 yield row
             elif len(unreadable) < _MAX_DIGITS:
-                unreadable.append(row.id)
+                unreadable.append(str(row.id) if row.id == row.last else f"{row.id} to {row.last}")
 
     as_table = csv is not None
     n_rows = write_csv(out, COLUMNS, map(table_row, readable())) if as_table else write_json_lines(out, map(shown, readable()))
     complain(f"{out}: {n_rows} rows")
     if unreadable:
-        rows = ", ".join(map(str, unreadable))
+        rows = ", ".join(unreadable)
         return complain(f"left out, not as a gateway writes them: rows {rows}; see `biobot-gateway audit verify {path}`", status=FAILED)
     return DONE
 

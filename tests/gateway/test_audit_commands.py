@@ -157,6 +157,26 @@ def test_a_row_that_no_gateway_wrote_is_named_and_the_others_are_shown(journal: 
     assert "rows 5;" in err
 
 
+def test_rows_of_whole_pages_are_shown_where_others_are_damaged(tmp_path: Path, capsys: _Captured) -> None:
+    path = tmp_path / "j"
+    write_audited(path, 300)
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        (size,) = database.execute("PRAGMA page_size").fetchone()
+    octets = bytearray(path.read_bytes())
+    is_leaf_of_table = 0x0D  # SQLite's file format, 1.6
+    (at,) = (at for at in range(0, len(octets), size) if octets[at] == is_leaf_of_table and b"c100" in octets[at : at + size])
+    octets[at : at + size] = bytes(size)
+    path.write_bytes(octets)
+    status, out, err = _run(capsys, "show", path, "--json")
+    numbers = [json.loads(line)["id"] for line in out.splitlines()]
+    assert (status, numbers[0], numbers[-1]) == (0, 1, 300)
+    missing = sorted(set(range(1, 301)) - set(numbers))
+    assert missing == list(range(missing[0], missing[-1] + 1)), "one page"
+    assert 0 < len(missing) < 100
+    assert f"rows {missing[0]} to {missing[-1]} are not as a gateway writes it" in err
+
+
 @pytest.mark.parametrize("command", [("audit", "--csv"), ("audit", "--json"), ("journal", "--csv")])
 @pytest.mark.parametrize("name", ["j", "symlink", "hardlink", "other", "j-wal", "j-shm"])
 def test_no_export_is_written_over_a_journal_by_whatever_name(
