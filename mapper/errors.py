@@ -22,8 +22,6 @@ MapError
 ├── WorkerDiedError        the process that was computing ended before its answer
 ├── JobError               a computation failed for a reason that its code did not foresee
 ├── NoMapYetError          no map has been finished yet
-├── MapNotFoundError       a map of the past is not kept
-├── AlertNotFoundError     there is no alert of this id
 ├── BiobotNotFoundError    no gateway has spoken of this biobot
 ├── CommandNotFoundError   nobody told of a command of this id lately
 ├── CommandRefusedError    a command was refused
@@ -390,20 +388,3 @@ class TooManyError(MapError):
         super().__init__(f"already {limit} {what}, the limit; ask again later")
         self.what = what
         self.limit = limit
-
-
-class MapNotFoundError(MapError):
-    """A map of the past is not there: it never was, or is too old."""
-
-    def __init__(self, *, version: int, oldest: int | None, newest: int | None) -> None:
-        there = "none is kept yet" if oldest is None else f"of versions {oldest} to {newest} some are kept"
-        super().__init__(f"no map of version {version} is kept; {there}, which /api/v1/maps lists")
-        self.version = version
-
-
-class AlertNotFoundError(MapError):
-    """There is no alert of an id."""
-
-    def __init__(self, *, alert_id: int) -> None:
-        super().__init__(f"no alert has the id {alert_id}; /api/v1/alerts lists those that are remembered")
-        self.alert_id = alert_id

@@ -13,7 +13,6 @@ from starlette.exceptions import HTTPException
 from mapper.access import LastAdminError, NoTokenError, RateLimitError, RoleError, TokenFileError, TokenNameError, TokenNotFoundError
 from mapper.api.command_schemas import STOP_PATH
 from mapper.errors import (
-    AlertNotFoundError,
     BiobotNotFoundError,
     CommandNotFoundError,
     CommandRefusedError,
@@ -22,7 +21,6 @@ from mapper.errors import (
     JobError,
     LengthsNotKeptError,
     MapError,
-    MapNotFoundError,
     NoMapYetError,
     NoResultError,
     OrderRefusedError,
@@ -37,6 +35,7 @@ from mapper.errors import (
     TooManyError,
     WorkerDiedError,
 )
+from mapper.past_errors import AlertNotFoundError, MapNotFoundError
 
 PROBLEM_TYPE: Final = "application/problem+json"
 

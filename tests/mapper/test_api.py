@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from firmware_protocol.contract.commands import Stage
 from firmware_protocol.contract.records import MissionPhase
-from mapper import errors
+from mapper import errors, past_errors
 from mapper.access import Role
 from mapper.access import errors as access_errors
 from mapper.api.app import create_unguarded_app
@@ -350,7 +350,7 @@ def test_every_error_of_the_mapper_that_can_reach_the_web_has_a_status() -> None
         "BusError",
     }
     offline |= {"QueryError", "ListenError", "KernelsError", "SelfTestError", "MapError", "UnlikeMapsError"}
-    both = {**vars(errors), **vars(access_errors)}
+    both = {**vars(errors), **vars(access_errors), **vars(past_errors)}
     leaves = {name for name, value in both.items() if isinstance(value, type) and issubclass(value, errors.MapError)}
     assert leaves - offline == {error.__name__ for error in STATUS_OF}
 
