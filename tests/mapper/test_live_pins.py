@@ -134,6 +134,7 @@ def test_no_bad_pin_is_kept() -> None:
             ("a", {"place": "xy:0,0,9"}),
             ("a", fine | {"x": 1.0}),
             ("a", fine | {"x": "1", "y": 2.0}),
+            ("a", fine | {"x": 1e9, "y": 2.0}),
             ("a", fine | {"more": 1}),
             ("a" * 65, fine),
             ("%20a", fine),
