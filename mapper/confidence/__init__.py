@@ -9,7 +9,6 @@ from mapper.confidence.sufficiency import (
     WANTED_LANDMARKS,
     WANTED_WALKERS,
     describe_count,
-    sure_text,
 )
 
 __all__ = [
@@ -28,5 +27,4 @@ __all__ = [
     "gather_evidence",
     "judge_components",
     "load_models",
-    "sure_text",
 ]

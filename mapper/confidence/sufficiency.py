@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from mapper.certainty import sure_text
 from mapper.durations import duration_text
 from mapper.types import DataVerdict, HoleCount
 
@@ -17,7 +18,6 @@ LEAST_WELL_SEEN: Final = 0.2
 """How large a share of the points should be well seen."""
 _MUCH_APART = 0.1
 _LIKELY = 0.05
-_MOST_TOLD = 0.99
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,13 +67,6 @@ def describe_count(count: HoleCount) -> str:
     others = sorted(((p, n) for n, p in enumerate(count.probabilities) if n != count.value and p >= _LIKELY), key=lambda pair: -pair[0])
     listed = ", ".join(f"{number}: {probability:.0%}" for probability, number in others[:3])
     return sure_text(count.probability) + (f"; {listed}" if listed else "")
-
-
-def sure_text(probability: float) -> str:
-    """Tell a probability; nothing is told of as certain."""
-    if probability > _MOST_TOLD:
-        return f"over {_MOST_TOLD:.0%} sure"
-    return f"{probability:.0%} sure" if probability >= 1.0 - _MOST_TOLD else f"under {1.0 - _MOST_TOLD:.0%} sure"
 
 
 def _few_encounters(facts: Facts) -> Iterator[tuple[str, str]]:
