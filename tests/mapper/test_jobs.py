@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import os
+import signal
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 from typing import Any
@@ -104,7 +105,9 @@ def test_one_job_runs_few_wait_and_each_can_be_cancelled() -> None:
     async def story(side: Side, client: httpx.AsyncClient) -> None:
         document = openapi_of(side)
         running = await order(client)
-        await until(lambda: side.jobs.get(running["id"]).state is JobState.RUNNING)
+        await until(lambda: side.jobs.worker.pid is not None)
+        assert side.jobs.worker.pid is not None
+        os.kill(side.jobs.worker.pid, signal.SIGSTOP)  # so that it runs until it is cancelled
         waiting = [await order(client, method="paper") for _ in range(MAX_WAITING)]
         refused = await client.post(JOBS, json={"kind": "map"})
         assert refused.status_code == HTTPStatus.TOO_MANY_REQUESTS
@@ -142,10 +145,10 @@ def test_a_job_that_cannot_be_done_says_why_and_the_next_one_is() -> None:
         assert (told["state"], told["result_url"]) == ("failed", None)
         assert "0 encounters in that time" in told["problem"]
         killed = await order(client)
-        await until(lambda: side.jobs.worker.pid is not None and side.jobs.get(killed["id"]).stage is not None)
+        await until(lambda: side.jobs.worker.pid is not None)
         pid = side.jobs.worker.pid
         assert pid is not None
-        os.kill(pid, 9)
+        os.kill(pid, signal.SIGKILL)
         await ended(side, killed["id"])
         assert "was killed by signal 9" in str(side.jobs.get(killed["id"]).problem)
 
