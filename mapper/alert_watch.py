@@ -18,8 +18,8 @@ from mapper.errors import MapDocumentError, StoreError
 from mapper.fleet import Fleet
 from mapper.hole_watch import HoleWatch
 from mapper.log import EventLog
-from mapper.past_errors import AlertNotFoundError
 from mapper.recent_contacts import RecentContacts
+from mapper.request_errors import AlertNotFoundError
 from mapper.store_thread import StoreThread
 
 _log = EventLog(__name__)

@@ -19,7 +19,7 @@ from mapper.log import EventLog
 from mapper.map_archive import PastMap, change_past_maps, pack_documents, read_documents, read_past_maps, unpack_documents
 from mapper.map_difference import MapDifference, compare_maps
 from mapper.map_snapshot import MapSnapshot
-from mapper.past_errors import MapNotFoundError
+from mapper.request_errors import MapNotFoundError
 from mapper.store_thread import StoreThread
 from mapper.thinning import Rung, choose_kept
 

@@ -18,6 +18,7 @@ _SUMMARIES: Final = {
     HTTPStatus.TOO_MANY_REQUESTS: "Too much at the same time, or too often: try again after Retry-After",
     HTTPStatus.SERVICE_UNAVAILABLE: "Not now: try again after Retry-After",
     HTTPStatus.INTERNAL_SERVER_ERROR: "A computation failed",
+    HTTPStatus.NOT_IMPLEMENTED: "A library that this needs is not installed here",
     HTTPStatus.BAD_REQUEST: "The body is no JSON, or a token stands in the URL",
 }
 _FRESHNESS_HEADERS: Final = {
@@ -25,6 +26,7 @@ _FRESHNESS_HEADERS: Final = {
     "Map-Waiting": {"description": "Records that have come since the map was begun", "schema": {"type": "integer"}},
 }
 
+_LOCATION: Final = {"Location": {"description": "Where it is", "schema": {"type": "string"}}}
 _ETAG: Final = {"ETag": {"description": "Names this version: send it as If-None-Match", "schema": {"type": "string"}}}
 
 BODY_PROBLEMS: Final = (
@@ -43,6 +45,7 @@ def describe_answers(
     is_versioned: bool = False,
     has_freshness: bool = True,
     made: str | None = None,
+    accepted: tuple[type, str] | None = None,
     under_way: str | None = None,
     examples: Mapping[HTTPStatus, object] | None = None,
 ) -> dict[int | str, dict[str, Any]]:
@@ -54,6 +57,8 @@ def describe_answers(
         It has an ETag; and headers that say how far the map is behind.
     made
         What 201 means; None: it is not answered.
+    accepted
+        What 202 has and means where it is all that is answered.
     under_way
         What 202 means; None: it is not answered.
     examples
@@ -69,7 +74,11 @@ def describe_answers(
         fine["content"] = {content: {"schema": kind}}
     elif content is not None:
         fine["model"] = content
-    answers: dict[int | str, dict[str, Any]] = {204: {"description": "Done"}} if content is None else {200: fine}
+    answers: dict[int | str, dict[str, Any]] = {200: fine}
+    if content is None:
+        answers = {204: {"description": "Done"}}
+    if accepted is not None:
+        answers = {202: {"model": accepted[0], "description": accepted[1], "headers": _LOCATION}}
     if under_way is not None:
         answers[202] = {"model": content, "description": under_way}
     if made is not None:

@@ -16,26 +16,31 @@ from mapper.errors import (
     BiobotNotFoundError,
     CommandNotFoundError,
     CommandRefusedError,
+    EngineMissingError,
     GatewayAwayError,
-    HoleNotFoundError,
     JobError,
-    LengthsNotKeptError,
     MapError,
     NoMapYetError,
-    NoResultError,
     OrderRefusedError,
-    OtherVersionError,
-    PinNotFoundError,
-    PinRefusedError,
     PlaceError,
     RouteError,
     StopUnansweredError,
     StoreError,
-    TaskNotFoundError,
     TooManyError,
     WorkerDiedError,
 )
-from mapper.past_errors import AlertNotFoundError, MapNotFoundError
+from mapper.request_errors import (
+    AlertNotFoundError,
+    HoleNotFoundError,
+    LengthsNotKeptError,
+    MapNotFoundError,
+    NoResultError,
+    OtherVersionError,
+    PeriodError,
+    PinNotFoundError,
+    PinRefusedError,
+    TaskNotFoundError,
+)
 
 PROBLEM_TYPE: Final = "application/problem+json"
 
@@ -57,6 +62,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     PinRefusedError: HTTPStatus.CONFLICT,
     NoResultError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
+    PeriodError: HTTPStatus.UNPROCESSABLE_ENTITY,
     OtherVersionError: HTTPStatus.CONFLICT,
     MapNotFoundError: HTTPStatus.NOT_FOUND,
     PlaceError: HTTPStatus.UNPROCESSABLE_ENTITY,
@@ -69,6 +75,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     WorkerDiedError: HTTPStatus.SERVICE_UNAVAILABLE,
     StoreError: HTTPStatus.SERVICE_UNAVAILABLE,
     JobError: HTTPStatus.INTERNAL_SERVER_ERROR,
+    EngineMissingError: HTTPStatus.NOT_IMPLEMENTED,
 }
 
 _RETRY_AFTER_S: Final[Mapping[type[MapError], int]] = {

@@ -29,7 +29,8 @@ STRICT_TRANSPORT: Final = {"Strict-Transport-Security": "max-age=31536000"}
 """Sent over TLS alone: a browser that has read it does not come back by http for a year."""
 
 _SAFE_METHODS: Final = {"GET", "HEAD", "OPTIONS"}
-_NO_HEAD: Final = {"/api/v1/events"}  # an endless answer has no length to tell
+_NO_HEAD: Final = {"/api/v1/events", "/api/v1/encounters.csv", "/api/v1/encounters.parquet"}
+"""What is written as it is sent has no length to tell."""
 
 
 class Guard:

@@ -17,7 +17,7 @@ from mapper.map_history import MapHistory
 from mapper.map_job import MapDocuments
 from mapper.map_snapshot import FinishedMap, MapSnapshot
 from mapper.named_pins import Framing
-from mapper.past_errors import MapNotFoundError
+from mapper.request_errors import MapNotFoundError
 from mapper.store import Store
 from mapper.store_thread import StoreThread
 from mapper.thinning import choose_kept, make_ladder
