@@ -78,6 +78,8 @@ class Job:
     begun_wall_ns: int | None = None
     ended_wall_ns: int | None = None
     result: ServedBytes | None = None
+    ended_rank: int = 0
+    """How many had ended before it."""
     is_done: asyncio.Event = field(default_factory=asyncio.Event)
     """It has ended, whatever became of it."""
 
@@ -119,6 +121,7 @@ class JobDesk:
         self._jobs: dict[str, Job] = {}
         self._waiting: deque[Job] = deque()
         self._has_come = asyncio.Event()
+        self._n_ended = 0
         self._running: tuple[Job, asyncio.Task[None]] | None = None
         self.worker = Worker(name="job worker", niceness=_NICENESS)
 
@@ -256,15 +259,16 @@ class JobDesk:
         )
 
     def _end(self, job: Job, state: JobState, *, problem: str | None) -> None:
-        job.state, job.problem, job.ended_wall_ns = state, problem, self._clock()
+        job.state, job.problem, job.ended_wall_ns, job.ended_rank = state, problem, self._clock(), self._n_ended
+        self._n_ended += 1
         job.is_done.set()
         self._forget_old()
         self._changes.bump(Topic.JOBS)
         _log.info("job.ended", job=job.id, state=str(state), problem=problem)
 
     def _forget_old(self) -> None:
-        """Forget the oldest of the ended jobs, but never the newest."""
-        ended = [job for job in self._jobs.values() if job.has_ended]
+        """Forget those of the ended jobs that ended first, but never the last."""
+        ended = sorted((job for job in self._jobs.values() if job.has_ended), key=lambda job: job.ended_rank)
         while len(ended) > MAX_ENDED or (len(ended) > 1 and _count_bytes(ended) > MAX_RESULT_BYTES):
             del self._jobs[ended.pop(0).id]
 

@@ -59,7 +59,7 @@ encounters = st.builds(
 )
 
 
-@settings(max_examples=30)
+@settings(max_examples=12)
 @given(rows=st.lists(encounters, min_size=1, max_size=20))
 def test_what_is_written_is_read_back_to_the_nanosecond(rows: list[Row], tmp_path_factory: pytest.TempPathFactory) -> None:
     wanted = sorted((begin, end, min(ids), max(ids)) for begin, end, *ids in rows)

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import os
+import signal
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 from typing import Any
@@ -48,7 +49,7 @@ def test_a_job_makes_the_map_of_its_time() -> None:
     async def story(side: Side, client: httpx.AsyncClient) -> None:
         document = openapi_of(side)
         since_ns, until_ns = ANCHOR_NS + 20 * S, ANCHOR_NS + 50 * S
-        job = await order(client, from_wall_ns=since_ns, until_wall_ns=until_ns, replicates=0)
+        job = await order(client, from_wall_ns=since_ns, until_wall_ns=until_ns, replicates=0, n_points=100, speed_mps=0.02)
         early = await client.get(f"{JOBS}/{job['id']}/result")
         assert early.status_code == HTTPStatus.CONFLICT
         await ended(side, job["id"])
@@ -59,6 +60,7 @@ def test_a_job_makes_the_map_of_its_time() -> None:
         result = answer.json()
         assert (result["since_s"], result["until_s"], result["job"]) == (since_ns / 1e9, until_ns / 1e9, job["id"])
         assert result["betti_numbers"] == [1, 1]
+        assert (result["parameters"]["n_points"], result["parameters"]["length_unit"]) == (100, "m")
         known = await side.records.call(lambda store: store.delta(after=0).encounters)
         assert result["n_encounters"] == int(((known.t_end_ns > since_ns) & (known.t_start_ns < until_ns)).sum())
         assert result["n_before"] == int((known.t_end_ns <= since_ns).sum())
@@ -80,7 +82,7 @@ def test_the_process_tells_every_stage_in_order() -> None:
                 make_period_map,
                 lambda stage, share: told.append((stage, share)),
                 delta,
-                make_recipe(RecipeConfig()),
+                make_recipe(RecipeConfig(replicates=0)),
                 since_ns=None,
                 until_ns=None,
                 n_before=0,
@@ -103,13 +105,23 @@ def test_one_job_runs_few_wait_and_each_can_be_cancelled() -> None:
     async def story(side: Side, client: httpx.AsyncClient) -> None:
         document = openapi_of(side)
         running = await order(client)
-        await until(lambda: side.jobs.get(running["id"]).state is JobState.RUNNING)
+        await until(lambda: side.jobs.worker.pid is not None)
+        assert side.jobs.worker.pid is not None
+        os.kill(side.jobs.worker.pid, signal.SIGSTOP)  # so that it runs until it is cancelled
         waiting = [await order(client, method="paper") for _ in range(MAX_WAITING)]
         refused = await client.post(JOBS, json={"kind": "map"})
         assert refused.status_code == HTTPStatus.TOO_MANY_REQUESTS
         check_against(document, JOBS, refused, method="post")
         states = {one["id"]: one["state"] for one in (await client.get(JOBS)).json()["jobs"]}
         assert list(states.values()) == ["running"] + ["waiting"] * MAX_WAITING
+        ids = []
+        for _ in range(MAX_ENDED + 2):
+            (await client.delete(f"{JOBS}/{waiting.pop()['id']}")).raise_for_status()
+            waiting.append(await order(client, method="paper"))
+            ids.append(waiting[-1]["id"])
+        ended_ids = [job.id for job in side.jobs.all() if job.has_ended]
+        assert len(ended_ids) == MAX_ENDED, "the last ones that ended are kept"
+        assert ended_ids == ids[-MAX_ENDED - 1 : -1]
         for job in (*waiting[1:], running):
             answer = await client.delete(f"{JOBS}/{job['id']}")
             check_against(document, JOBS + "/{job_id}", answer, method="delete")
@@ -133,16 +145,12 @@ def test_a_job_that_cannot_be_done_says_why_and_the_next_one_is() -> None:
         assert (told["state"], told["result_url"]) == ("failed", None)
         assert "0 encounters in that time" in told["problem"]
         killed = await order(client)
-        await until(lambda: side.jobs.worker.pid is not None and side.jobs.get(killed["id"]).stage is not None)
+        await until(lambda: side.jobs.worker.pid is not None)
         pid = side.jobs.worker.pid
         assert pid is not None
-        os.kill(pid, 9)
+        os.kill(pid, signal.SIGKILL)
         await ended(side, killed["id"])
         assert "was killed by signal 9" in str(side.jobs.get(killed["id"]).problem)
-        fine = await order(client, n_points=100, replicates=0, speed_mps=0.02)
-        await ended(side, fine["id"])
-        result = (await client.get(f"{JOBS}/{fine['id']}/result")).json()
-        assert (result["parameters"]["n_points"], result["parameters"]["length_unit"]) == (100, "m")
 
     run(story)
 
@@ -167,20 +175,5 @@ def test_no_bad_order_becomes_a_job() -> None:
             assert answer.status_code == HTTPStatus.UNPROCESSABLE_ENTITY, body
             check_against(document, JOBS, answer, method="post")
         assert side.jobs.all() == []
-
-    run(story)
-
-
-def test_of_jobs_that_ended_the_last_ones_are_kept() -> None:
-    async def story(side: Side, client: httpx.AsyncClient) -> None:
-        first = await order(client)
-        await until(lambda: side.jobs.get(first["id"]).state is JobState.RUNNING)
-        ids = []
-        for _ in range(MAX_ENDED + 2):
-            job = await order(client)
-            ids.append(job["id"])
-            await client.delete(f"{JOBS}/{job['id']}")
-        kept = [job.id for job in side.jobs.all()]
-        assert kept == [first["id"], *ids[-MAX_ENDED:]]
 
     run(story)
