@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from studies.rest_campaign.campaign import run_campaign
-from studies.rest_campaign.site import running_site
+from studies.rest_campaign.site import lonely_mapper, running_site
 from studies.rest_campaign.tally import write_report
 from studies.system import PartFailedError
 
@@ -22,7 +22,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         directory: Path = options.out or Path(scratch)
         try:
-            with running_site(directory, seed=options.seed, duration_s=_WALK_S, n_biobots=options.biobots) as target:
+            site = (
+                lonely_mapper(directory)
+                if options.lonely
+                else running_site(directory, seed=options.seed, duration_s=_WALK_S, n_biobots=options.biobots)
+            )
+            with site as target:
                 began_s = time.monotonic()
                 tally = run_campaign(target, n_cases=options.cases, seed_number=options.seed, tell=_tell)
         except PartFailedError as error:
@@ -30,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 1
     facts = {
         "seed": options.seed,
-        "site": f"{options.biobots} simulated insects, a gateway, a mapper, each a process",
+        "site": "a mapper alone" if options.lonely else f"{options.biobots} simulated insects, a gateway, a mapper",
         "schemathesis": version("schemathesis"),
         "took": f"{time.monotonic() - began_s:.0f} s",
     }
@@ -49,6 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--cases", type=int, default=20_000, metavar="N", help="how many requests (default: 20000)")
     parser.add_argument("--seed", type=int, default=1, help="same seed, same requests but for what the site knows (default: 1)")
     parser.add_argument("--biobots", type=int, default=40, metavar="N", help="insects that walk (default: 40)")
+    parser.add_argument("--lonely", action="store_true", help="a mapper without gateway, insects and map")
     parser.add_argument("--out", type=Path, metavar="DIR", help="keep logs and store there; an empty directory (default: nowhere)")
     return parser
 

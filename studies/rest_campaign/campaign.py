@@ -17,7 +17,7 @@ from studies.rest_campaign.askers import STRANGE_TOKENS, Asker, Target, is_let_i
 from studies.rest_campaign.judge import Fault, judge, judge_other
 from studies.rest_campaign.known import learn
 from studies.rest_campaign.operations import Operation, load_operations
-from studies.rest_campaign.tally import Tally
+from studies.rest_campaign.tally import NO_ANSWER, Tally
 
 _TIMEOUT_S: Final = 60
 _METHODS: Final = ("GET", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "BREW")
@@ -82,13 +82,22 @@ def _ask(
     def ask(data: st.DataObject) -> None:
         operation = data.draw(st.sampled_from(operations))
         asked = data.draw(requests_of(operation, known))
-        answer = _send(target, session, asked)
-        tally.count(operation.name, answer, judge(operation, asked, answer), kinds=(asked.asker, asked.way), target=target)
+        prepared = _prepare(target, session, asked)
+        try:
+            answer = session.send(prepared, timeout=_TIMEOUT_S, allow_redirects=False)
+            faults = judge(operation, asked, answer)
+        except requests.RequestException as error:
+            answer, faults = requests.Response(), [Fault("an answer comes, and is whole", str(error))]
+            answer.status_code, answer.request = NO_ANSWER, prepared
+        if asked.way is Way.RAW:
+            # One that is sent in pieces has been used up.
+            answer.request.body = asked.body
+        tally.count(operation.name, answer, faults, kinds=(asked.asker, asked.way), target=target)
 
     ask()
 
 
-def _send(target: Target, session: requests.Session, asked: Asked) -> requests.Response:
+def _prepare(target: Target, session: requests.Session, asked: Asked) -> requests.PreparedRequest:
     headers = dict(asked.headers)
     shown = asked.strange_token if asked.asker is Asker.STRANGER else target.shown_by(asked.asker)
     wanted = requests.Request(**asked.case.as_transport_kwargs(base_url=target.url, headers=headers))
@@ -102,10 +111,7 @@ def _send(target: Target, session: requests.Session, asked: Asked) -> requests.R
         prepared.prepare_body(iter([asked.body]) if asked.is_chunked and asked.body else asked.body, None)
     if shown is not None:
         prepared.headers["Authorization"] = shown.encode() if not shown.isascii() else shown
-    answer = session.send(prepared, timeout=_TIMEOUT_S, allow_redirects=False)
-    if asked.way is Way.RAW:
-        answer.request.body = asked.body
-    return answer
+    return prepared
 
 
 def _ask_endless(target: Target, operation: Operation, tally: Tally) -> None:

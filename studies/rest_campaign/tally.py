@@ -13,6 +13,8 @@ from studies.rest_campaign.askers import Target
 from studies.rest_campaign.judge import Fault
 
 _OWN_FIELDS: Final = {"User-Agent", "Connection", "Content-Length", "Accept-Encoding", "Accept", "X-Schemathesis-TestCaseId"}
+NO_ANSWER: Final = 0
+"""In the place of a status, where there was none or the answer broke off."""
 _MOST_SHOWN: Final = 2000
 
 
