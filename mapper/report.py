@@ -239,9 +239,14 @@ def _landmark(landmark: Landmark, name: int | str) -> JsonObject:
 
 
 def _size(hole: Hole, unit: str) -> str:
-    perimeter = "" if hole.perimeter is None else f", perimeter {hole.perimeter:.3g} +- {hole.perimeter_error:.2g} {unit}"
-    area = "" if hole.area is None else f", area {hole.area:.3g} +- {hole.area_error:.2g} {unit}^2"
+    perimeter = "" if hole.perimeter is None else f", perimeter {hole.perimeter:.3g} +- {_rounded(hole.perimeter_error)} {unit}"
+    area = "" if hole.area is None else f", area {hole.area:.3g} +- {_rounded(hole.area_error)} {unit}^2"
     return perimeter + area
+
+
+def _rounded(error: float | None) -> str:
+    """Tell an error by two digits, as ``140`` and not as ``1.4e+02``."""
+    return f"{float(f'{error or 0.0:.2g}'):g}"
 
 
 def _intervals(intervals: FloatArray) -> list[JsonValue]:

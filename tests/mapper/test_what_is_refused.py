@@ -87,3 +87,10 @@ def test_pins_given_twice_count_once_and_one_thing_at_two_places_is_refused(tmp_
     path.write_text("landmark,x,y\n1,0,0\n2,5,0\n4,0,7\n1,99,99\n")
     with pytest.raises(InputFileError, match="landmark:1 is put at 0,0 and at 99,99"):
         read_pins(path)
+
+
+def test_dates_with_and_without_a_zone_in_one_log_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("start,end,id1,id2\n2026-05-04T12:00:00+02:00,2026-05-04T12:00:05,1,2\n")
+    assert main(["run", str(path)]) == 1
+    assert "some dates have a time zone and others have none" in capsys.readouterr().err
