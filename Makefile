@@ -84,6 +84,9 @@ bench-rest: venv  ## GET /api/v1/map beside a bare route of the same bytes, its 
 soak: venv  ## hours of radios that fail now and then: does memory grow, do descriptors or threads? (docs/soak.md; ARGS="--hours 2")
 	$(PY) -m studies.soak $(ARGS)
 
+rest-campaign: venv  ## 20,000 generated requests to the mapper's API: what its OpenAPI document says must hold (minutes; docs/rest-campaign.md; ARGS="--cases 2000")
+	$(PY) -m studies.rest_campaign $(ARGS)
+
 clocks: venv  ## times of encounters and their bounds against the truth: drift, queues, restarts, lost beacons (half a minute)
 	$(PY) -m studies.clocks $(ARGS)
 

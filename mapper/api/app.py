@@ -60,6 +60,8 @@ def create_unguarded_app(services: Services, *, stream: EventStream) -> FastAPI:
         description=_ABOUT,
         docs_url=None,
         redoc_url=None,
+        # What the document does not have is not there, nor is it by another spelling.
+        redirect_slashes=False,
         openapi_tags=_TAGS,
         # Endpoints say themselves what they answer with; by default the document would say JSON besides.
         default_response_class=Response,

@@ -27,6 +27,31 @@ _FRESHNESS_HEADERS: Final = {
 }
 
 _LOCATION: Final = {"Location": {"description": "Where it is", "schema": {"type": "string"}}}
+_FEATURE_COLLECTION: Final[dict[str, Any]] = {
+    "type": "object",
+    "title": "FeatureCollection",
+    "description": "GeoJSON (RFC 7946), but that `coordinate_frame` says what coordinates mean",
+    "required": ["type", "coordinate_frame", "features"],
+    "properties": {
+        "type": {"type": "string", "enum": ["FeatureCollection"]},
+        "coordinate_frame": {"type": "object", "description": "`kind`, `unit`, and how the map was brought there"},
+        "features": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "title": "Feature",
+                "required": ["type", "id", "geometry", "properties"],
+                "properties": {
+                    "id": {"type": "string"},
+                    "type": {"type": "string", "enum": ["Feature"]},
+                    "geometry": {"type": ["object", "null"], "description": "`type` and `coordinates`; null where there is no place"},
+                    "properties": {"type": "object", "description": "`kind` is component, hole, landmark, pin or point"},
+                },
+            },
+        },
+    },
+}
+
 _ETAG: Final = {"ETag": {"description": "Names this version: send it as If-None-Match", "schema": {"type": "string"}}}
 
 BODY_PROBLEMS: Final = (
@@ -68,7 +93,7 @@ def describe_answers(
     if isinstance(content, str):
         kind = {"type": "string"} if content.startswith("text/") else {"type": "string", "format": "binary"}
         if content.endswith("json"):
-            kind = {"type": "object"}
+            kind = _FEATURE_COLLECTION
         elif content == "image/svg+xml":
             kind = {"type": "string"}
         fine["content"] = {content: {"schema": kind}}

@@ -110,15 +110,19 @@ class _Body:
         return message
 
     def answer_too_large(self, send: Send, scope: Scope) -> Send:
-        has_answered = False
+        has_begun = is_answered = False
 
         async def checked_send(message: Message) -> None:
-            nonlocal has_answered
-            if not self.is_too_large:
-                await send(message)
-            elif not has_answered:
-                has_answered = True
+            nonlocal has_begun, is_answered
+            if is_answered:
+                return
+            # An answer that has begun needs no more of the body: what is streamed only listens for the client's leave.
+            if self.is_too_large and not has_begun:
+                is_answered = True
                 await problem(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, detail=_too_large())(scope, self._receive, send)
+                return
+            has_begun = True
+            await send(message)
 
         return checked_send
 
