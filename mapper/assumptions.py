@@ -3,14 +3,10 @@
 from collections.abc import Iterator, Sequence
 
 from firmware_protocol.units import NS_PER_S
-from mapper.contact_statistics import ContactStatistics
+from mapper.contact_statistics import ContactStatistics, follows_lines, gathers, has_fine_times, keeps_company
 from mapper.reading import ProximityLog
-from mapper.types import KNOWN_PLACES, Assumption, MapResult, Standing
+from mapper.types import KNOWN_PLACES, Assumption, DataVerdict, MapResult, Standing
 
-# Own choices: of simulated runs (docs/your-own-data.md) unevenness is 1.0 to 2.3 and others at once 0.3 to 0.8; of people at conferences
-# 6 and 3 to 5, of calves in a pen 4.6 and 2.7.
-_MOST_UNEVENNESS = 3.0
-_MOST_AT_ONCE = 1.5
 _FEWEST_WALKING = 10  # with as many, an obstacle of 2 m in 5 m x 5 m is not found in an hour (docs/feasibility.md)
 _FEWEST_ENCOUNTERS = 15.0
 _FEWEST_LANDMARKS = 3
@@ -38,12 +34,7 @@ def judge_assumptions(log: ProximityLog, result: MapResult, standing: Standing, 
             text="where the map lies is not known: it may be turned and mirrored, and fits no plan before places in it are known (--pins)",
         ),
     ]
-    return (*judged, _hole_count(judged))
-
-
-def walks_at_random(statistics: ContactStatistics) -> bool:
-    """Say whether nothing in the contacts speaks against nodes that move at random: neither company kept nor gatherings."""
-    return all(one.holds is not False for one in _of_movement(statistics))
+    return (*judged, _hole_count(judged, result.data))
 
 
 def _clean_rows(log: ProximityLog) -> Assumption:
@@ -103,9 +94,9 @@ def _of_movement(statistics: ContactStatistics) -> Iterator[Assumption]:
         yield Assumption(
             name="even_meetings", holds=None, text="whether nodes move at random cannot be seen with so few or so many of them"
         )
-    elif uneven > _MOST_UNEVENNESS:
+    elif keeps_company(statistics):
         text = (
-            f"nodes do not move at random: how often pairs meet varies {uneven:.3g} times as much as by chance (walkers: 1 to 2.3), "
+            f"nodes do not move at random: how often pairs meet varies {uneven:.3g} times as much as by chance (walkers: 1 to 4), "
             "as where they keep company or to their own places"
         )
         yield Assumption(name="even_meetings", holds=False, text=text)
@@ -113,18 +104,32 @@ def _of_movement(statistics: ContactStatistics) -> Iterator[Assumption]:
         text = f"pairs meet as evenly as walkers in an arena do: it varies {uneven:.3g} times as much as by chance"
         yield Assumption(name="even_meetings", holds=True, text=text)
     others = statistics.at_once
-    if others > _MOST_AT_ONCE:
-        text = f"nodes meet in groups: an encounter has {others:.3g} others with its two at once; a gathering counts as many encounters"
+    if gathers(statistics):
+        text = (
+            f"nodes meet in groups: an encounter has {others:.3g} others with its two at once, {statistics.at_once_by_chance:.2g} would be "
+            "chance; a gathering counts as many encounters"
+        )
         yield Assumption(name="few_at_once", holds=False, text=text)
     else:
         text = f"the two of an encounter are with {others:.2g} others at once"
         yield Assumption(name="few_at_once", holds=True, text=text)
+    alike = statistics.alike_lengths
+    if alike is None:
+        text = "whether nodes follow walls cannot be seen with so few encounters, or times so coarse"
+        yield Assumption(name="free_ways", holds=None, text=text)
+    elif follows_lines(statistics):
+        text = (
+            f"nodes go along lines, such as walls: {alike:.0%} more encounters than usual last equally long; the open between is not walked"
+        )
+        yield Assumption(name="free_ways", holds=False, text=text)
+    else:
+        yield Assumption(name="free_ways", holds=True, text="encounters last as long as those of nodes that cross an open place do")
 
 
 def _fine_times(log: ProximityLog, statistics: ContactStatistics) -> Assumption:
     grid_ns = max(log.tick_ns, statistics.grid_ns)
     told = f"times are known to {_span(grid_ns)}, and a walking node meets another every {_span(round(statistics.interval_ns))}"
-    if grid_ns > 0 and 2 * grid_ns > statistics.interval_ns:
+    if not has_fine_times(statistics, tick_ns=log.tick_ns):
         return Assumption(name="fine_times", holds=False, text=f"{told}: what is walked in less cannot be told from standing")
     return Assumption(name="fine_times", holds=True, text=told)
 
@@ -143,9 +148,11 @@ def _known_speed(result: MapResult) -> Assumption:
     return Assumption(name="known_speed", holds=True, text=f"lengths are metres at {result.recipe.speed_mps:g} m/s")
 
 
-def _hole_count(judged: Sequence[Assumption]) -> Assumption:
-    needed = {"stands_still", "enough_nodes", "enough_encounters", "no_silence", "even_meetings", "few_at_once", "fine_times"}
+def _hole_count(judged: Sequence[Assumption], data: DataVerdict | None) -> Assumption:
+    needed = {"stands_still", "enough_nodes", "enough_encounters", "no_silence", "even_meetings", "few_at_once", "free_ways", "fine_times"}
     broken = [one.name for one in judged if one.name in needed and one.holds is False]
+    if not broken and data is not None and not data.is_enough:
+        return Assumption(name="hole_count", holds=False, text="the count of holes is not to be trusted yet: the data are not enough")
     if not broken:
         return Assumption(name="hole_count", holds=True, text="nothing in the log speaks against the count of holes")
     return Assumption(name="hole_count", holds=False, text=f"the count of holes is not to be trusted: see {', '.join(broken)}")

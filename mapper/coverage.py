@@ -133,7 +133,8 @@ def _judge(
         # Twice the encounters are what the remedies ask for.
         wanted = max(wanted, 2.0 * len(table))
     lacks_biobots = result.components[0].n_landmarks < WANTED_LANDMARKS or n_biobots - n_standing < WANTED_WALKERS
-    expected = 0.0 if result.data.is_enough else None if lacks_biobots else _wait_s(wanted - len(table), rate=rate)
+    helps_to_wait = result.hole_count.is_known and not lacks_biobots
+    expected = 0.0 if result.data.is_enough else None if not helps_to_wait else _wait_s(wanted - len(table), rate=rate)
     return {"is_enough": result.data.is_enough, "reasons": reasons, "remedies": remedies, "expected_wait_s": expected}
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mapper.confidence import holes_text
 from mapper.interval_lists import Bar, Line, list_bars, list_lines, sort_bars
 from mapper.render import ImageFormat, save_figure
 
@@ -109,6 +110,5 @@ def _name(bar: Bar) -> str:
 
 def _title(what: str, result: MapResult) -> str:
     b0, b1 = result.betti_numbers
-    sure = "" if result.hole_count is None else f" ({result.hole_count.probability:.0%} sure)"
     doubt = "\nnot enough data yet" if result.data is not None and not result.data.is_enough else ""
-    return f"{what}: b0 = {b0}, b1 = {b1}{sure}, {result.n_encounters} encounters{doubt}"
+    return f"{what}: b0 = {b0}, {holes_text(b1, result.hole_count)}, {result.n_encounters} encounters{doubt}"

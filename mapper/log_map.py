@@ -3,16 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from firmware_protocol.contract.records import Cause, Mode
-from mapper.assumptions import judge_assumptions, walks_at_random
-from mapper.contact_statistics import measure_contacts
+from mapper.assumptions import judge_assumptions
+from mapper.confidence import doubt_movement, doubt_times
+from mapper.contact_statistics import measure_walkers
 from mapper.kernels import Kernels
 from mapper.pipeline import compute_map
 from mapper.reading import ProximityLog
 from mapper.standing import choose_standing, number_given
-from mapper.types import EncounterTable, IntArray, MapResult, ModeSpell, Recipe, StandingSource
+from mapper.types import DataVerdict, EncounterTable, IntArray, MapResult, ModeSpell, Recipe, StandingSource
 from mapper.window import stationary_spells
 
 
@@ -60,13 +58,21 @@ def map_log(
         kernels=kernels,
     )
     still = (*(spells or ()), *stationary_spells(table, standing.nodes))
-    stood = {int(spell.node) for spell in still if spell.mode is Mode.S and spell.cause is Cause.COMMAND}
-    statistics = measure_contacts(table, np.array(sorted(stood), dtype=np.int64))
-    result = compute_map(table, still, recipe, kernels=kernels, also_place=also_place, walks_at_random=walks_at_random(statistics))
+    statistics = measure_walkers(table, still)
+    doubts = (*doubt_movement(statistics), *doubt_times(statistics, tick_ns=log.tick_ns))
+    result = compute_map(table, still, recipe, kernels=kernels, also_place=also_place, doubts=doubts)
     warnings = [*log.warnings, *result.warnings]
     if absent:
         warnings.append(f"stationary biobots {', '.join(absent)} are in no encounter")
     if standing.source in {StandingSource.COLUMN, StandingSource.FOUND}:
         warnings.append(f"{len(standing.nodes)} nodes are taken to stand still: {standing.reason}")
     result = replace(result, warnings=tuple(warnings), node_names=log.names.text_of, standing=standing)
-    return replace(result, assumptions=judge_assumptions(log, result, standing, statistics))
+    return _agreeing(replace(result, assumptions=judge_assumptions(log, result, standing, statistics)))
+
+
+def _agreeing(result: MapResult) -> MapResult:
+    """Say that the data are not enough where the log says that the count of holes is not to be trusted, whatever else they say."""
+    (count,) = (one for one in result.assumptions if one.name == "hole_count")
+    if count.holds is not False or result.data is None or not result.data.is_enough:
+        return result
+    return replace(result, data=DataVerdict(is_enough=False, reasons=(count.text,), remedies=()))

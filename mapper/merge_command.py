@@ -16,7 +16,7 @@ from mapper.pipeline import MIN_ENCOUNTERS, compute_map, join_finished_maps
 from mapper.pooling import Recording, count_shared_landmarks, pool_recordings, shift_recording
 from mapper.report import JsonObject, JsonValue, to_json_object
 from mapper.types import EncounterTable, MapResult, Method, MetricKind, ModeSpell, Recipe
-from mapper.window import absent_biobots, stationary_spells
+from mapper.window import absent_biobots, drop_repeated, stationary_spells
 
 
 def merge(args: argparse.Namespace, recipe: Recipe) -> tuple[MapResult, JsonObject]:
@@ -33,9 +33,11 @@ def merge(args: argparse.Namespace, recipe: Recipe) -> tuple[MapResult, JsonObje
     """
     files: list[Path] = [path for path in args.inputs if _is_map(path)]
     maps = [read_map_file(path) for path in files]
-    recordings = _read_recordings(args)
+    recordings, repeated = _read_recordings(args)
     result, facts = _merge_recordings(recordings, args, recipe) if recordings else (None, {})
     facts["maps"] = [str(path) for path in files]
+    if result is not None:
+        result = replace(result, warnings=(*repeated, *result.warnings))
     if maps:
         own = maps[0]
         by_maps = make_recipe(RecipeConfig(method=Method(own.method), metric=MetricKind(own.metric), speed_mps=own.speed_mps))
@@ -81,7 +83,7 @@ def _merge_recordings(recordings: Sequence[Recording], args: argparse.Namespace,
     return replace(result, warnings=(*warnings, *result.warnings)), facts
 
 
-def _read_recordings(args: argparse.Namespace) -> list[Recording]:
+def _read_recordings(args: argparse.Namespace) -> tuple[list[Recording], list[str]]:
     inputs = [path for path in args.inputs if not _is_map(path)]
     modes: list[Path] = args.modes
     shifts: tuple[float, ...] = args.shift_s or (0.0,) * len(inputs)
@@ -97,13 +99,17 @@ def _read_recordings(args: argparse.Namespace) -> list[Recording]:
     if problems:
         raise ConfigurationError(problems)
     left = iter(modes)
-    recordings = []
+    recordings, n_repeated = [], 0
     for path, shift_s in zip(inputs, shifts, strict=True):
         table, spells = _read_directory(path) if path.is_dir() else (read_encounters(path), _read_given(next(left, None)))
         if not len(table):
             raise TooFewEncountersError(n_encounters=0, minimum=1, where=str(path))
+        table, n = drop_repeated(table)
+        n_repeated += n
         recordings.append(shift_recording(Recording(name=str(path), table=table, spells=spells), shift_ns=round(shift_s * NS_PER_S)))
-    return recordings
+    repeat = "1 row repeats" if n_repeated == 1 else f"{n_repeated} rows repeat"
+    warnings = [f"{repeat} another one of the same file, pair and times; each counts once"] if n_repeated else []
+    return recordings, warnings
 
 
 def _read_directory(path: Path) -> tuple[EncounterTable, tuple[ModeSpell, ...]]:

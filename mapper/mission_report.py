@@ -33,6 +33,7 @@ class _Count(msgspec.Struct, frozen=True):
     value: int
     probability: float
     probabilities: dict[str, float]
+    is_known: bool = True
 
 
 class _Data(msgspec.Struct, frozen=True):
@@ -122,6 +123,8 @@ def _of_map(map_: _Map) -> list[str]:
     parts = _counted(b0, "connected part", "connected parts")
     sure = "how sure that is is not known" if map_.hole_count is None else sure_text(map_.hole_count.probability)
     verdict = f"The map shows {_counted(b1, 'hole', 'holes')} ({sure}) in {parts}."
+    if map_.hole_count is not None and not map_.hole_count.is_known:
+        verdict = f"How many holes there are is not known. The map shows {parts}."
     doubtful = map_.data is not None and not map_.data.is_enough
     lines = [f'<p class="verdict">{"Not enough data yet. " if doubtful else ""}{escape(verdict)}</p>']
     if map_.data is not None and doubtful:

@@ -93,6 +93,8 @@ def read_pins(path: Path) -> tuple[Pin, ...]:
             pins.append(_make_pin(row))
         except ValueError as error:
             faults.append(f"pin {number}: {error}")
+    faults += _contradictions(pins)
+    pins = list(dict.fromkeys(pins))  # what is given twice is known once
     if not faults and len({pin.is_geographic for pin in pins}) > 1:
         faults.append("some pins have x and y, others lon and lat; give one kind")
     if not rows:
@@ -100,6 +102,18 @@ def read_pins(path: Path) -> tuple[Pin, ...]:
     if faults:
         raise InputFileError(path=str(path), faults=faults)
     return tuple(pins)
+
+
+def _contradictions(pins: Sequence[Pin]) -> list[str]:
+    """List the things that are put at more than one place."""
+    places: defaultdict[NamedPlace, set[tuple[float, float]]] = defaultdict(set)
+    for pin in pins:
+        places[pin.place].add(pin.at)
+    return [
+        f"{place} is put at {' and at '.join(f'{x:.10g},{y:.10g}' for x, y in sorted(at))}; give it one place"
+        for place, at in places.items()
+        if len(at) > 1
+    ]
 
 
 def place_pins(pins: Sequence[Pin], sketch: MapSketch) -> Pinned:
@@ -145,9 +159,12 @@ def place_pins(pins: Sequence[Pin], sketch: MapSketch) -> Pinned:
 
 
 def know_places(assumptions: Sequence[Assumption], pinned: Pinned) -> tuple[Assumption, ...]:
-    """Say of what a map rests on that places are known, if the pins told no doubt."""
-    known = Assumption(name=KNOWN_PLACES, holds=True, text=f"{len(pinned.pins)} pins say where the map lies")
-    return tuple(known if one.name == KNOWN_PLACES and not pinned.warnings else one for one in assumptions)
+    """Say of what a map rests on that places are known, if the pins tell the map from its mirror image; with what else they told."""
+    if not all(fit.is_handed for fit in pinned.frame.fits.values()):
+        return tuple(assumptions)
+    text = f"{len(pinned.pins)} pins say where the map lies" + "".join(f"; {warning}" for warning in pinned.warnings)
+    known = Assumption(name=KNOWN_PLACES, holds=True, text=text)
+    return tuple(known if one.name == KNOWN_PLACES else one for one in assumptions)
 
 
 def _to_metres(pins: Sequence[Pin]) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.float64]], TangentPlane | None]:

@@ -11,15 +11,16 @@ from mapper.assembly import add_others, assemble
 from mapper.betti import load_trained_rules
 from mapper.component_map import MIN_LANDMARKS, PlacedComponent, draw_component, map_component
 from mapper.confidence import (
-    LEAST_CLAIMED,
-    LEAST_CLAIMED_OF_OTHERS,
+    Doubt,
     Evidence,
     MapAgain,
     add_verdict,
+    doubt_movement,
     gather_evidence,
     judge_components,
     load_models,
 )
+from mapper.contact_statistics import measure_walkers
 from mapper.encounter_graph import Components, build_components
 from mapper.errors import TooFewEncountersError
 from mapper.joined_map import check_alike, join_maps
@@ -57,7 +58,7 @@ def compute_map(
     progress: Progress | None = None,
     kernels: Kernels | None = None,
     also_place: IntArray | None = None,
-    walks_at_random: bool = True,
+    doubts: Sequence[Doubt] | None = None,
 ) -> MapResult:
     """Make the map of all encounters of a table.
 
@@ -75,8 +76,8 @@ def compute_map(
         What computes on the graphs; None takes the best there are. The map is the same.
     also_place
         Rows of the table to place besides the points, as ``others``; those that have no place are left out.
-    walks_at_random
-        Nothing speaks against it. Probabilities are of walkers like the simulated ones; of others only what is all but sure is claimed.
+    doubts
+        What is unlike the runs on which probabilities were checked; None asks the encounters themselves (`doubt_movement`).
 
     Raises
     ------
@@ -93,8 +94,8 @@ def compute_map(
         result = mapped.draw([part.is_real for part in mapped.placed])
     else:
         gathered = gather_evidence(table, spells, mapped.placed, recipe, map_again=mapped.map_again)
-        least = LEAST_CLAIMED if walks_at_random else LEAST_CLAIMED_OF_OTHERS
-        verdict = judge_components(models, gathered, table, n_components=mapped.n_components, least_claimed=least)
+        known = doubt_movement(measure_walkers(table, spells)) if doubts is None else doubts
+        verdict = judge_components(models, gathered, table, n_components=mapped.n_components, doubts=known)
         result = add_verdict(mapped.draw(verdict.is_hole), mapped.placed, verdict)
     report("done", 1.0)
     return result

@@ -19,6 +19,12 @@ from mapper.types import EncounterTable, FloatArray, IntArray
 _NS_PER_S = 1e9
 _FORMS = "landmark:ID, landmark:ID@T, biobot:ID, biobot:ID@T, point:INDEX, xy:X,Y or xy:X,Y,COMPONENT, with T in seconds of the map's clock"
 _SHOWN = 60
+_MOST_COVER_RADII = 5
+"""So far from all points of a map coordinates still lie on it; in an obstacle one is as far from them as its half width."""
+_MOST_EXTENT = 0.25
+"""The same as a share of the extent of a component: where every encounter is a point there is nothing to cover."""
+_MOST_GAP = 0.25
+"""So long from all encounters of a biobot it is not known where it is, as a share of the time that the map is of."""
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?"
 _TEXT = re.compile(
     rf"landmark:(?P<landmark>.{{1,200}}?)(?:@(?P<stood>{_NUMBER}))?|biobot:(?P<biobot>.{{1,200}}?)(?:@(?P<t>{_NUMBER}))?|"
@@ -135,10 +141,27 @@ def find_place(place: NamedPlace, sketch: MapSketch) -> FoundPlace:
             if index >= len(sketch.xy):
                 raise _unknown(place, f"is beyond the {len(sketch.xy)} points of the map", "give an index from 0")
             return FoundPlace(name=str(place), xy=sketch.xy[index], component=int(sketch.component[index]), point=index, gap_s=0.0)
-        case MapPlace(x=x, y=y, component=component):
+        case MapPlace(component=component):
             if component >= len(sketch.cover_radii):
                 raise _unknown(place, f"is in none of the {len(sketch.cover_radii)} components mapped", "they are counted from 0")
-            return FoundPlace(name=str(place), xy=np.array([x, y]), component=component, point=None, gap_s=0.0)
+            return _find_coordinates(place, sketch)
+
+
+def _find_coordinates(place: MapPlace, sketch: MapSketch) -> FoundPlace:
+    xy = np.array([place.x, place.y])
+    own = np.flatnonzero(sketch.component == place.component)
+    off = np.hypot(*(sketch.xy[own] - xy).T)
+    extent = float(np.hypot(*np.ptp(sketch.xy[own], axis=0))) if len(own) else 0.0
+    most = max(_MOST_COVER_RADII * sketch.cover_radii[place.component], _MOST_EXTENT * extent)
+    if len(own) and off.min() > most:
+        nearest = int(own[off.argmin()])
+        x, y = sketch.xy[nearest].tolist()
+        raise _unknown(
+            place,
+            f"is {off.min():.3g} from the nearest point of the map, at most {most:.3g} (cover radii, or a quarter of its extent) may be",
+            f"the nearest is point:{nearest} at xy:{x:.4g},{y:.4g}",
+        )
+    return FoundPlace(name=str(place), xy=xy, component=place.component, point=None, gap_s=0.0)
 
 
 def rows_to_place(places: Iterable[NamedPlace], table: EncounterTable, *, number_of: Callable[[str], int | None]) -> IntArray:
@@ -188,6 +211,14 @@ def _find_biobot(place: BiobotPlace, sketch: MapSketch) -> FoundPlace:
     before, after = max(0, after - 1), min(after, len(own) - 1)
     one, other = int(own[before]), int(own[after])
     gaps = abs(t_s - float(times[before])), abs(float(times[after]) - t_s)
+    most_s = _MOST_GAP * float(np.ptp(sketch.met_t_s))
+    if min(gaps) > most_s:
+        nearest_s = float(times[before] if gaps[0] <= gaps[1] else times[after])
+        raise _unknown(
+            place,
+            f"is {min(gaps):.3g} s from its nearest encounter on the map, at most {most_s:.3g} s, a quarter of its time, tell a place",
+            f"the nearest is at {nearest_s:.6g} s",
+        )
     if before == after or sketch.met_component[one] != sketch.met_component[other] or sum(gaps) == 0:
         nearest = one if gaps[0] <= gaps[1] else other
         xy = sketch.met_xy[nearest]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from mapper.confidence import holes_text
 from mapper.config import RecipeConfig, make_recipe
 from mapper.frames import Similarity
 
@@ -183,10 +184,11 @@ def _draw_map(axes: Axes, result: MapResult, *, part: str | None, pinned: Pinned
     if result.landmarks or pinned is not None:
         axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), ncols=2, fontsize="small", frameon=False)
     b0, b1 = result.betti_numbers
-    sure = "" if result.hole_count is None else f" ({result.hole_count.probability:.0%} sure)"
     doubt = "not enough data yet" if result.data is not None and not result.data.is_enough else None
     unusual = ", ".join(filter(None, [doubt, part, _unusual_method(result.recipe)]))
-    axes.set_title(f"map: b0 = {b0}, b1 = {b1}{sure}, {result.n_encounters} encounters" + (f"\n{unusual}" if unusual else ""))
+    axes.set_title(
+        f"map: b0 = {b0}, {holes_text(b1, result.hole_count)}, {result.n_encounters} encounters" + (f"\n{unusual}" if unusual else "")
+    )
     axes.set_aspect("equal", adjustable="datalim")
     if pinned is None:
         axes.set_xlabel(f"x [{result.length_unit}]")

@@ -41,7 +41,7 @@ def to_json_object(result: MapResult) -> JsonObject:
         coordinates, time [s], biobots and ``is_well_seen``; ``holes`` with ``outline`` in map coordinates, ``points`` (indices), birth,
         death, component and ``probability``; of each also ``outline_xy``, the polygon of what stands in it (closed, counter-clockwise),
         ``centre`` inside it, ``area``, ``perimeter`` and their standard errors, null where they are not known; ``possible_holes`` of the
-        same form; ``hole_count`` (value, its probability, and that of each number); ``data`` (is_enough, reasons, remedies);
+        same form; ``hole_count`` (value, its probability, that of each number, and ``is_known``); ``data`` (is_enough, reasons, remedies);
         ``landmarks`` with their places and times; ``complex`` (edges and triangles as indices of points);
         ``components`` (those mapped, each with its own figures); ``n_components`` (all there are); ``diameter``, ``n_encounters``,
         ``n_used``, ``lost_spectrum``, ``parameters`` (with ``length_unit``) and ``warnings``; ``stationary`` (ids, source,
@@ -99,10 +99,9 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
     b0, b1 = result.betti_numbers
     unit = result.length_unit
     recipe = result.recipe
-    sure = "" if result.hole_count is None else f" ({describe_count(result.hole_count)})"
     doubt = "" if result.data is None or result.data.is_enough else ": NOT ENOUGH DATA YET"
     lines = [
-        f"{_counted(b0, 'component')}, {_counted(b1, 'hole')}{sure}{doubt}",
+        f"{_counted(b0, 'component')}, {_holes(b1, result.hole_count)}{doubt}",
         *_doubts(result.data),
         f"encounters     {result.n_encounters}, of which {result.n_used} used; {len(result.points)} points drawn",
         *([] if part is None else [f"part           {part}"]),
@@ -134,6 +133,13 @@ def summarize(result: MapResult, *, part: str | None = None) -> str:
         lines.append(f"stand still    {_named(result.standing, result.node_names)}: {result.standing.reason}")
     broken = [one.text for one in result.assumptions if one.holds is False]
     return "\n".join([*lines, *([] if not broken else ["what cannot be concluded:", *(f"- {text}" for text in broken)])])
+
+
+def _holes(number: int, count: HoleCount | None) -> str:
+    if count is None:
+        return _counted(number, "hole")
+    told = describe_count(count)
+    return f"{_counted(number, 'hole')} ({told})" if count.is_known else f"holes: {told}"
 
 
 def _standing(standing: Standing, names: Mapping[int, str]) -> JsonObject:
@@ -182,7 +188,7 @@ def _hole_count(count: HoleCount | None) -> JsonObject | None:
     if count is None:
         return None
     probabilities: JsonObject = {str(number): chance for number, chance in enumerate(count.probabilities) if chance >= _LEAST_TOLD}
-    return {"value": count.value, "probability": count.probability, "probabilities": probabilities}
+    return {"value": count.value, "probability": count.probability, "probabilities": probabilities, "is_known": count.is_known}
 
 
 def _verdict(data: DataVerdict | None) -> JsonObject | None:
@@ -234,9 +240,14 @@ def _landmark(landmark: Landmark, name: int | str) -> JsonObject:
 
 
 def _size(hole: Hole, unit: str) -> str:
-    perimeter = "" if hole.perimeter is None else f", perimeter {hole.perimeter:.3g} +- {hole.perimeter_error:.2g} {unit}"
-    area = "" if hole.area is None else f", area {hole.area:.3g} +- {hole.area_error:.2g} {unit}^2"
+    perimeter = "" if hole.perimeter is None else f", perimeter {hole.perimeter:.3g} +- {_rounded(hole.perimeter_error)} {unit}"
+    area = "" if hole.area is None else f", area {hole.area:.3g} +- {_rounded(hole.area_error)} {unit}^2"
     return perimeter + area
+
+
+def _rounded(error: float | None) -> str:
+    """Tell an error by two digits, as ``140`` and not as ``1.4e+02``."""
+    return f"{float(f'{error or 0.0:.2g}'):g}"
 
 
 def _intervals(intervals: FloatArray) -> list[JsonValue]:

@@ -269,11 +269,15 @@ class Hole:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoleCount:
-    """How many holes the map shows, how likely that is right, and how likely there are 0, 1, 2, ... in truth."""
+    """How many holes the map shows, how likely that is right, and how likely there are 0, 1, 2, ... in truth.
+
+    ``is_known`` is False where the encounters tell nothing of it: then the probabilities are those of the runs of training.
+    """
 
     value: int
     probability: float
     probabilities: tuple[float, ...]
+    is_known: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

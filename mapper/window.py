@@ -92,6 +92,15 @@ def select_rows(table: EncounterTable, chosen: BoolArray) -> EncounterTable:
     return EncounterTable(t_start_ns=start, t_end_ns=end, id1=id1, id2=id2, source_row=row)
 
 
+def drop_repeated(table: EncounterTable) -> tuple[EncounterTable, int]:
+    """Leave out encounters that repeat another one, and say how many: of one pair two cannot begin and end at the same instants."""
+    columns = (table.t_start_ns, table.t_end_ns, table.id1, table.id2)
+    # In canonical order equal ones follow each other.
+    repeats = np.logical_and.reduce([column[1:] == column[:-1] for column in columns])
+    n = int(np.count_nonzero(repeats))
+    return (select_rows(table, np.concatenate([[True], ~repeats])), n) if n else (table, 0)
+
+
 def clip_table(table: EncounterTable, *, since_ns: int | None = None, until_ns: int | None = None) -> EncounterTable:
     """Leave out what was over at ``since_ns`` or had not begun at ``until_ns``, and cut what was under way then.
 

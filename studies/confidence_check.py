@@ -74,7 +74,7 @@ def tell(models: Models, witness: Witness) -> Told:
     count = count_holes(models.count, number_columns(witness, every), prior=models.prior, is_telling=tells, alone=alone)
     chosen = choose_holes(every, count, is_telling=tells)
     is_called = chosen[: len(chance)]
-    is_told = is_called | (chance >= LEAST_PROBABILITY)
+    is_told = tells & (is_called | (chance >= LEAST_PROBABILITY))
     well_seen = models.point.probability({name: np.array(values) for name, values in witness.points.items()}) >= WELL_SEEN
     facts = Facts(
         encounters_each=2.0 * float(np.exp(run["encounters a biobot"])),
@@ -82,10 +82,11 @@ def tell(models: Models, witness: Witness) -> Told:
         n_walkers=n_walkers,
         n_components=1,
         apart=1.0 - float(np.exp(run["encounters"])) / witness.n_encounters,
-        count=tell_count(int(chosen.sum()), count),
+        count=tell_count(int(chosen.sum()), count, is_known=tells),
         well_seen=float(well_seen.mean()),
         span_s=0.0,
         has_moved_on=False,
+        doubts=(),
     )
     return Told(
         witness=witness,

@@ -138,9 +138,9 @@ def compute_witness(mission: Mission) -> Witness:
         return witness
     result, gathered = compute_evidence(table, run.spells, mission.recipe)
     largest = gathered[0]
-    places = _true_places(result, run.world)
+    places = true_places(result, run.world)
     seconds_per_length = mission.setting.seconds / mission.setting.metres  # that of a map without a speed
-    exact = seconds_per_length * geodesic_distances(arena, _free(arena, places))
+    exact = seconds_per_length * geodesic_distances(arena, free_places(arena, places))
     return replace(
         witness,
         counted=result.betti_numbers[1],
@@ -210,7 +210,7 @@ def _move(evidence: Evidence, exact: FloatArray) -> float:
     return bottleneck_distance(evidence.part.intervals[1], loops) / reach_of(evidence.part)
 
 
-def _true_places(result: MapResult, world: World) -> FloatArray:
+def true_places(result: MapResult, world: World) -> FloatArray:
     """Say where the points of the largest component were: the middle between the two biobots, shape (n_points, 2)."""
     own = result.points.component == 0
     t_s = np.minimum(result.points.t_ns[own] / NS_PER_S, world.now_s)
@@ -218,7 +218,7 @@ def _true_places(result: MapResult, world: World) -> FloatArray:
     return (first + second) / 2.0
 
 
-def _free(arena: Arena, places: FloatArray) -> FloatArray:
+def free_places(arena: Arena, places: FloatArray) -> FloatArray:
     """Move places that lie in an obstacle, half-way between two biobots that were heard around its corner, to where it is free."""
     return np.asarray(shapely.get_coordinates(shapely.shortest_line(arena.polygon, shapely.points(places)))[::2])
 

@@ -186,6 +186,7 @@ class HoleCountItem(AnswerModel):
     value: int
     probability: float = Field(description="That there are as many in truth")
     probabilities: dict[str, float] = Field(description="Of each number of holes; those below 1 in 10,000 are left out")
+    is_known: bool = Field(description="False: the encounters tell nothing of it, and the probabilities are those of any place")
 
 
 class DataItem(AnswerModel):

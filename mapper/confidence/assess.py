@@ -15,7 +15,7 @@ from mapper.component_map import PlacedComponent
 from mapper.confidence.counting import count_holes, describe_numbers, is_telling
 from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track, mean_change, reach_of
 from mapper.confidence.model import Models
-from mapper.confidence.sufficiency import Facts, judge_data
+from mapper.confidence.sufficiency import Doubt, Facts, judge_data
 from mapper.outlines import outline_holes
 from mapper.types import (
     BoolArray,
@@ -39,8 +39,9 @@ LEAST_PROBABILITY: Final = 0.05
 """A loop that is not called real and is a hole with less than this is not told of."""
 LEAST_CLAIMED: Final = 0.6
 """A loop that is a hole with less than this is not claimed, only called possible: a wrong claim is the worst failure."""
-LEAST_CLAIMED_OF_OTHERS: Final = 0.9
-"""The same of nodes that do not walk at random, as the runs of training did."""
+MOST_OF_OTHERS: Final = 0.24
+"""No loop of nodes that do not walk at random, as those of the runs of training did, is a hole with more than this: of the loops that the
+models call holes with 90 % or more so many are there (``studies.other_walkers``, docs/confidence.md)."""
 WELL_SEEN: Final = 0.8
 """A point is well seen when its distances are right with this probability."""
 
@@ -65,24 +66,32 @@ class Verdict:
 
 
 def judge_components(
-    models: Models, gathered: Sequence[Evidence], table: EncounterTable, *, n_components: int, least_claimed: float = LEAST_CLAIMED
+    models: Models, gathered: Sequence[Evidence], table: EncounterTable, *, n_components: int, doubts: Sequence[Doubt] = ()
 ) -> Verdict:
-    """Say how sure a map of encounters is, and which of its loops are holes; none is that is less probable than ``least_claimed``.
+    """Say how sure a map of encounters is, and which of its loops are holes; none is that is less probable than `LEAST_CLAIMED`.
+
+    Parameters
+    ----------
+    doubts
+        What in the contacts is unlike the runs that the models were trained and checked on. If there is anything, no more is told of any
+        loop than `MOST_OF_OTHERS`, and nothing of their number.
 
     Notes
     -----
     There are as many holes as is most probable, less those that are too unlikely by themselves, and they are the likeliest loops: the rule
-    of the recipe only takes part in the evidence.
+    of the recipe only takes part in the evidence. Where the map tells nothing (`is_telling`) no loop is told of.
     """
-    chances = tuple(loop_probabilities(models, one) for one in gathered)
-    distribution = count_distribution(models, gathered, chances)
-    chosen = choose_holes(np.concatenate(chances), distribution, is_telling=_is_telling(gathered), least=least_claimed)
+    is_known = _is_telling(gathered) and not doubts
+    most = MOST_OF_OTHERS if doubts else 1.0
+    chances = tuple(np.minimum(loop_probabilities(models, one), most if _is_telling(gathered) else 0.0) for one in gathered)
+    distribution = count_distribution(models, gathered, chances, is_known=is_known)
+    chosen = choose_holes(np.concatenate(chances), distribution, is_telling=is_known)
     ends = np.cumsum([len(some) for some in chances])[:-1]
     is_hole = tuple(
         np.pad(some, (0, len(one.part.intervals[1]) - len(some))) for some, one in zip(np.split(chosen, ends), gathered, strict=True)
     )
     is_well_seen: BoolArray = np.concatenate([point_probabilities(models, one) >= WELL_SEEN for one in gathered])
-    count = tell_count(int(chosen.sum()), distribution)
+    count = tell_count(int(chosen.sum()), distribution, is_known=is_known)
     facts = Facts(
         encounters_each=2.0 * len(table) / len(np.unique(np.concatenate([table.id1, table.id2]))),
         n_landmarks=gathered[0].part.n_landmarks,
@@ -93,6 +102,7 @@ def judge_components(
         well_seen=float(is_well_seen.mean()),
         has_moved_on=_has_moved_on(gathered),
         span_s=(int(table.t_end_ns.max()) - int(table.t_start_ns.min())) / _NS_PER_S,
+        doubts=tuple(doubts),
     )
     return Verdict(
         chances=chances,
@@ -117,8 +127,8 @@ def add_verdict(result: MapResult, placed: Sequence[PlacedComponent], verdict: V
     )
 
 
-def choose_holes(chances: FloatArray, distribution: FloatArray, *, is_telling: bool, least: float = LEAST_CLAIMED) -> BoolArray:
-    """Say which loops are holes: the likeliest, as many as is most probable, but none below ``least``; ties go to the earlier.
+def choose_holes(chances: FloatArray, distribution: FloatArray, *, is_telling: bool) -> BoolArray:
+    """Say which loops are holes: the likeliest, as many as is most probable, but none below `LEAST_CLAIMED`; ties go to the earlier.
 
     None are where the map tells nothing.
 
@@ -132,7 +142,7 @@ def choose_holes(chances: FloatArray, distribution: FloatArray, *, is_telling: b
     is_hole = np.zeros(len(chances), dtype=bool)
     number = int(np.argmax(distribution[: len(chances) + 1])) if is_telling else 0
     is_hole[np.argsort(-chances, kind="stable")[:number]] = True
-    return is_hole & (chances >= least)
+    return is_hole & (chances >= LEAST_CLAIMED)
 
 
 def gather_evidence(
@@ -195,12 +205,15 @@ def loop_probabilities(models: Models, evidence: Evidence) -> FloatArray:
     return models.loop.probability(evidence.loop_columns())
 
 
-def count_distribution(models: Models, gathered: Sequence[Evidence], loops: Sequence[FloatArray]) -> FloatArray:
-    """Say how likely there are 0, 1, 2, ... holes in all components; of the run, the largest of them tells."""
+def count_distribution(models: Models, gathered: Sequence[Evidence], loops: Sequence[FloatArray], *, is_known: bool) -> FloatArray:
+    """Say how likely there are 0, 1, 2, ... holes in all components; of the run, the largest of them tells.
+
+    Where nothing of it is known, only how many the runs of training had.
+    """
     counted = sum(one.part.betti_numbers[1] for one in gathered)
     columns = describe_numbers(np.concatenate(loops), counted=counted, replicas=replica_counts(gathered), run=gathered[0].run_columns())
     alone = np.concatenate(loops) if is_beyond_training(models, counted, has_moved_on=_has_moved_on(gathered)) else None
-    return count_holes(models.count, columns, prior=models.prior, is_telling=_is_telling(gathered), alone=alone)
+    return count_holes(models.count, columns, prior=models.prior, is_telling=is_known, alone=alone)
 
 
 def is_beyond_training(models: Models, counted: int, *, has_moved_on: bool) -> bool:
@@ -298,7 +311,7 @@ def _outline_possible(result: MapResult, placed: Sequence[PlacedComponent], verd
     return tuple(sorted(possible, key=lambda hole: (-(hole.probability or 0.0), hole.component, hole.birth - hole.death)))
 
 
-def tell_count(value: int, distribution: FloatArray) -> HoleCount:
+def tell_count(value: int, distribution: FloatArray, *, is_known: bool) -> HoleCount:
     """Say how sure a number of holes is, by the distribution of the true number from 0 on, shape (k,)."""
     told = distribution.tolist()
-    return HoleCount(value=value, probability=told[value] if value < len(told) else 0.0, probabilities=tuple(told))
+    return HoleCount(value=value, probability=told[value] if value < len(told) else 0.0, probabilities=tuple(told), is_known=is_known)

@@ -21,6 +21,14 @@ _LIKELY = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Doubt:
+    """What makes a map's probabilities worth little, though there may be encounters enough: why, and what would help."""
+
+    reason: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
     """What decides whether data are enough.
 
@@ -42,6 +50,8 @@ class Facts:
         From the first encounter's beginning to the last one's end [s].
     has_moved_on
         Landmarks stood elsewhere later: the swarm saw parts of the place one after the other.
+    doubts
+        What is unlike the runs that the probabilities were checked on.
     """
 
     encounters_each: float
@@ -53,20 +63,42 @@ class Facts:
     well_seen: float
     span_s: float
     has_moved_on: bool
+    doubts: tuple[Doubt, ...]
 
 
 def judge_data(facts: Facts) -> DataVerdict:
     """Judge the data of a map; the gravest reason comes first."""
-    found = [reason for judge in (_few_encounters, _few_landmarks, _few_walkers, _apart, _unsure, _badly_seen) for reason in judge(facts)]
+    found = [
+        reason
+        for judge in (_unlike_those_checked, _few_encounters, _few_landmarks, _few_walkers, _apart, _unsure, _badly_seen)
+        for reason in judge(facts)
+    ]
     remedies = dict.fromkeys(remedy for _, remedy in found)
     return DataVerdict(is_enough=not found, reasons=tuple(reason for reason, _ in found), remedies=tuple(remedies))
 
 
 def describe_count(count: HoleCount) -> str:
-    """Tell how sure a number of holes is, and what else it may be: ``55 % sure; 1: 30 %, 3: 10 %``."""
-    others = sorted(((p, n) for n, p in enumerate(count.probabilities) if n != count.value and p >= _LIKELY), key=lambda pair: -pair[0])
+    """Tell how sure a number of holes is, and what else it may be: ``55 % sure; 1: 30 %, 3: 10 %``, or ``not known (0: 32 %, 1: 30 %)``."""
+    others = sorted(
+        ((p, n) for n, p in enumerate(count.probabilities) if p >= _LIKELY and not (count.is_known and n == count.value)),
+        key=lambda pair: -pair[0],
+    )
     listed = ", ".join(f"{number}: {probability:.0%}" for probability, number in others[:3])
+    if not count.is_known:
+        return f"not known ({listed})"
     return sure_text(count.probability) + (f"; {listed}" if listed else "")
+
+
+def holes_text(value: int, count: HoleCount | None) -> str:
+    """Tell a number of holes for a title: ``b1 = 2 (93 % sure)``, or ``b1 not known``."""
+    if count is None:
+        return f"b1 = {value}"
+    return f"b1 = {value} ({count.probability:.0%} sure)" if count.is_known else "b1 not known"
+
+
+def _unlike_those_checked(facts: Facts) -> Iterator[tuple[str, str]]:
+    for doubt in facts.doubts:
+        yield doubt.reason, doubt.remedy
 
 
 def _few_encounters(facts: Facts) -> Iterator[tuple[str, str]]:
@@ -101,7 +133,8 @@ def _apart(facts: Facts) -> Iterator[tuple[str, str]]:
 
 
 def _unsure(facts: Facts) -> Iterator[tuple[str, str]]:
-    if facts.count.probability >= SURE_ENOUGH:
+    if facts.count.probability >= SURE_ENOUGH or not facts.count.is_known:
+        # What makes it unknown has been told.
         return
     if facts.has_moved_on:
         walk = "stay longer at each place, or pass it twice"

@@ -18,7 +18,7 @@ from mapper.reading.parquet_table import MAGIC, read_parquet_table
 from mapper.reading.raw_log import RawLog
 from mapper.reading.text_table import describe_layout, read_text_table
 from mapper.types import EncounterTable, IntArray, KernelsKind
-from mapper.window import make_encounter_table
+from mapper.window import drop_repeated, make_encounter_table
 
 _GZIP = b"\x1f\x8b"
 _MAX_SPAN_NS = 2**62 - 1
@@ -98,13 +98,14 @@ def _make_log(path: Path, raw: RawLog, options: ReadingOptions) -> ProximityLog:
         contacts = Contacts(start_ns=raw.start_ns, end_ns=raw.end_ns, id1=raw.code1, id2=raw.code2, n_repeated=0, n_joined=0)
     else:
         contacts = join_contacts(raw.start_ns, raw.end_ns, raw.code1, raw.code2, gap_ns=gap_ns)
-    table = make_encounter_table(t_start_ns=contacts.start_ns, t_end_ns=contacts.end_ns, id1=contacts.id1, id2=contacts.id2)
+    made = make_encounter_table(t_start_ns=contacts.start_ns, t_end_ns=contacts.end_ns, id1=contacts.id1, id2=contacts.id2)
+    table, n_repeated = drop_repeated(made)  # joined contacts have none
     places: IntArray = np.unique(raw.code2) if raw.layout.is_place else np.zeros(0, dtype=np.int64)
     form = f"{raw.kind}: {describe_layout(raw.layout)}" + "".join(f"; {note}" for note in raw.notes)
     if not has_begins:
         form += f"; sightings of a pair no more than {_seconds(gap_ns)} apart are one contact"
     warnings = [
-        *_warn_of_rows(raw, contacts, n_nobody=n_nobody, has_begins=has_begins),
+        *_warn_of_rows(raw, contacts, n_nobody=n_nobody, n_repeated=n_repeated + contacts.n_repeated, has_begins=has_begins),
         *([] if tick.is_clear or options.gap_ns is not None else [_warn_of_tick(tick, gap_ns)]),
         *_warn_of_names(names),
     ]
@@ -151,20 +152,22 @@ def _number(path: Path, raw: RawLog) -> tuple[RawLog, NodeNames, int]:
     return replace(raw, start_ns=raw.start_ns[kept], end_ns=raw.end_ns[kept], code1=id1[kept], code2=id2[kept]), names, n_nobody
 
 
-def _warn_of_rows(raw: RawLog, contacts: Contacts, *, n_nobody: int, has_begins: bool) -> list[str]:
+def _warn_of_rows(raw: RawLog, contacts: Contacts, *, n_nobody: int, n_repeated: int, has_begins: bool) -> list[str]:
     warnings = []
     if n_nobody:
         warnings.append(f"{n_nobody} rows with an id below 0 are left out: such ids stand for nobody, or for a device that takes no part")
     if raw.n_selves:
         at = "" if raw.self_line is None else f", the first in line {raw.self_line}"
-        warnings.append(f"{raw.n_selves} rows are of an id with itself{at}; they are left out")
+        are = "1 row is of an id with itself" if raw.n_selves == 1 else f"{raw.n_selves} rows are of an id with itself"
+        warnings.append(f"{are}{at}; left out")
     if raw.lacks_zone:
         warnings.append(
             "dates have no time zone and are taken as UTC; where a clock was put forward or back, an hour is missing or twice there"
         )
     n_joined = contacts.n_joined - contacts.n_repeated
-    if contacts.n_repeated and has_begins:
-        warnings.append(f"{contacts.n_repeated} rows repeat another one of the same pair and times; each counts once")
+    if n_repeated and has_begins:
+        repeat = "1 row repeats" if n_repeated == 1 else f"{n_repeated} rows repeat"
+        warnings.append(f"{repeat} another one of the same pair and times; each counts once")
     if n_joined and has_begins:
         warnings.append(f"{n_joined} rows overlap or touch another one of the same pair; each such group is one contact")
     return warnings

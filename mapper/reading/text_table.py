@@ -104,6 +104,9 @@ class _Reading:
             raise InputFileError(path=self._path, faults=self._faults.shown, n_faults=self._faults.count)
         start, end, code1, code2 = self._pieces.join()
         instants = [times for role, times in self._times.items() if role is not Role.DURATION]
+        if any(times.has_zone for times in instants) and any(times.lacks_zone for times in instants):
+            reason = "some dates have a time zone and others have none, so how they lie to each other is not known; give all of them one"
+            raise InputFileError(path=self._path, faults=[reason])
         return RawLog(
             kind=_KINDS[self._shape.delimiter],
             layout=self._layout,

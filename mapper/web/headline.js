@@ -27,7 +27,7 @@ export class Headline {
       const number = map.betti_numbers[dimension];
       const isDoubtful = word === "hole" && !isEnough;
       setText(this.values[`${word}s`], isDoubtful ? "?" : count(number));
-      const sure = word === "hole" && map.hole_count ? (isDoubtful ? ` (${count(number)} with ${percent(map.hole_count.probability)})` : ` (${percent(map.hole_count.probability)} sure)`) : "";
+      const sure = word === "hole" && map.hole_count ? ` (${sureText(map.hole_count, isDoubtful)})` : "";
       setText(this.words[`${word}s`], (number === 1 && !isDoubtful ? word : `${word}s`) + sure);
     });
     setText(this.values.encounters, count(map.n_encounters));
@@ -43,6 +43,11 @@ export class Headline {
   showWaiting(nEncounters) {
     setText(this.values.encounters, count(nEncounters));
   }
+}
+
+function sureText(told, isDoubtful) {
+  if (told.is_known === false) return "not known";
+  return isDoubtful ? `${count(told.value)} with ${percent(told.probability)}` : `${percent(told.probability)} sure`;
 }
 
 function limits(map) {

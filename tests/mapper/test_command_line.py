@@ -273,7 +273,7 @@ def test_several_components_are_a_warning(tmp_path: Path, capsys: pytest.Capture
     )
     assert main(["run", str(path)]) == 0
     output = capsys.readouterr()
-    assert output.out.startswith("2 components, 0 holes (")
+    assert output.out.startswith("2 components, holes: not known (")
     assert "warning: the encounters fall into 2 components" in output.err
 
 

@@ -166,8 +166,8 @@ def test_rows_of_one_contact_are_one(path: Path) -> None:
     log = _log(path, "start,end,id1,id2\n0,5,1,2\n0,5,2,1\n3,9,1,2\n9,9,1,2\n4,4,1,2\n20,21,1,2\n0,9,1,3\n6,6,8,8\n")
     assert _rows(log.table) == [(0, 9 * S, 1, 2), (0, 9 * S, 1, 3), (20 * S, 21 * S, 1, 2)]
     assert log.warnings == (
-        "1 rows are of an id with itself, the first in line 9; they are left out",
-        "1 rows repeat another one of the same pair and times; each counts once",
+        "1 row is of an id with itself, the first in line 9; left out",
+        "1 row repeats another one of the same pair and times; each counts once",
         "3 rows overlap or touch another one of the same pair; each such group is one contact",
     )
 

@@ -1,18 +1,12 @@
 """How the confidence of maps is trained and judged."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapper.assumptions import walks_at_random
-from mapper.confidence import LEAST_CLAIMED, LEAST_CLAIMED_OF_OTHERS
 from mapper.confidence.counting import count_holes
 from mapper.config import RecipeConfig, make_recipe
-from mapper.contact_statistics import measure_contacts
-from mapper.pipeline import compute_map
 from studies.confidence_check import report, tell
 from studies.confidence_fit import (
     area_under_roc,
@@ -26,7 +20,7 @@ from studies.confidence_fit import (
 from studies.confidence_runs import AS_IT_IS, WITNESSES, Witness, compute_witness, draw_mission, judge_points
 from studies.reliability import draw_reliability
 from studies.train_confidence import describe, train
-from studies.trials import SETTINGS, simulate
+from studies.trials import SETTINGS
 
 _events = st.lists(st.tuples(st.integers(0, 8), st.booleans()), min_size=2, max_size=20)
 
@@ -128,26 +122,3 @@ def test_equal_events_draw_equal_pictures(image_format: str, head: bytes) -> Non
     first, second = (draw_reliability(panels, image_format=image_format) for _ in range(2))
     assert first == second
     assert first.startswith(head)
-
-
-@pytest.mark.parametrize("seed", [310, 317])
-def test_of_nodes_that_do_not_walk_at_random_a_doubtful_hole_is_only_called_possible(seed: int) -> None:
-    table, spells, _ = simulate(SETTINGS["squares/few"], seed)
-    recipe = make_recipe(RecipeConfig())
-    walkers, others = (compute_map(table, spells, recipe, walks_at_random=is_so) for is_so in (True, False))
-    (hole,) = walkers.holes
-    assert LEAST_CLAIMED <= (hole.probability or 0.0) < LEAST_CLAIMED_OF_OTHERS
-    assert (others.betti_numbers, others.holes) == ((1, 0), ())
-    assert (hole.birth, hole.death) in {(one.birth, one.death) for one in others.possible_holes}
-    assert walkers.hole_count is not None
-    assert others.hole_count is not None
-    assert others.hole_count.probabilities == walkers.hole_count.probabilities
-
-
-@pytest.mark.parametrize(("unevenness", "at_once", "is_so"), [(None, 0.5, True), (2.3, 0.8, True), (4.6, 0.8, False), (1.0, 2.7, False)])
-def test_company_and_gatherings_speak_against_nodes_that_walk_at_random(unevenness: float | None, at_once: float, is_so: bool) -> None:
-    table, spells, _ = simulate(SETTINGS["squares/few"], 310)
-    standing = np.array(sorted({int(spell.node) for spell in spells}), dtype=np.int64)
-    measured = measure_contacts(table, standing)
-    assert walks_at_random(measured), "simulated walkers do"
-    assert walks_at_random(replace(measured, unevenness=unevenness, at_once=at_once)) == is_so

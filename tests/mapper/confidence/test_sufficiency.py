@@ -3,7 +3,7 @@
 import pytest
 
 from mapper.certainty import sure_text
-from mapper.confidence.sufficiency import Facts, describe_count, judge_data
+from mapper.confidence.sufficiency import Doubt, Facts, describe_count, judge_data
 from mapper.types import HoleCount
 
 _SURE = HoleCount(value=1, probability=0.97, probabilities=(0.01, 0.97, 0.02))
@@ -20,6 +20,7 @@ def _facts(
     seen: float = 0.9,
     span_s: float = 600.0,
     moved: bool = False,
+    doubts: tuple[Doubt, ...] = (),
 ) -> Facts:
     return Facts(
         encounters_each=each,
@@ -31,6 +32,7 @@ def _facts(
         well_seen=seen,
         span_s=span_s,
         has_moved_on=moved,
+        doubts=doubts,
     )
 
 
@@ -54,6 +56,7 @@ def test_much_of_all_is_enough() -> None:
             "no landmark in the largest component; 5 are wanted",
             "let 5 more biobots stand still, better 10-20 % of all",
         ),
+        (_facts(doubts=(Doubt(reason="they fly", remedy="clip their wings"),)), "they fly", "clip their wings"),
         (_facts(walkers=4), "only 4 biobots walk; 10 are wanted", "let 6 more biobots walk"),
         (
             _facts(apart=0.4),
