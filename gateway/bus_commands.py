@@ -12,6 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Generic, TypeVar
 
+import msgspec
 import zenoh
 
 from firmware_protocol.contract.commands import CommandStage, StimulationAction, StimulationRequest
@@ -29,6 +30,7 @@ _MAX_STOPS = 4096
 """Stops that may wait: sixteen times what any other command is granted."""
 
 _MAX_ORDERS = 64
+_MAX_NAME = 64
 _AT_ONCE = 8
 """Commands that the loop takes at a time, so that a stop that comes meanwhile waits for no more than these."""
 
@@ -98,7 +100,7 @@ class CommandDoor:
         """Runs on a thread of Zenoh."""
         octets = payload_of(query)
         try:
-            request = decode_record(octets, StimulationRequest)
+            request = read_command(octets)
         except RecordError as error:
             _turn_away(query, octets, str(error), health=self._health, listener=self._on_turned_away)
             return
@@ -190,6 +192,28 @@ class _Lane(Generic[_AskedT, _AnswerT]):
             self._take(asked, answer)
         if has_more:
             self._loop.call_soon(self.hand_over)
+
+
+def read_command(octets: bytes) -> StimulationRequest:
+    """Return a command. Who gives a stop is no reason to refuse it: a name that is none is "unknown", one that is too long is cut.
+
+    Raises
+    ------
+    RecordError
+        It is none.
+    """
+    try:
+        return decode_record(octets, StimulationRequest)
+    except RecordError:
+        try:
+            said = msgspec.msgpack.decode(octets)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            said = None
+        if not isinstance(said, dict) or said.get("action") not in {action.value for action in STOPS}:
+            raise
+        name = said.get("operator")
+        named = {**said, "operator": (name[:_MAX_NAME] if isinstance(name, str) else "") or "unknown"}
+        return decode_record(msgspec.msgpack.encode(named), StimulationRequest)
 
 
 def _turn_away(query: zenoh.Query, octets: bytes, reason: str, *, health: Health, listener: TurnedAwayListener | None) -> None:

@@ -6,7 +6,7 @@ id is obeyed once, so it does no harm where both arrive.
 
 import queue
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Final
@@ -44,8 +44,12 @@ def stop_everywhere(
     timeout_s: float,
     tls: TlsTable,
     timing: ZenohTable | None = None,
+    on_gateway: Callable[[str], None] = lambda _: None,
 ) -> Iterator[CommandStage]:
     """Send stops to every gateway of a site, or to one, and yield each stage once, as it comes.
+
+    ``on_gateway`` is told, once, of each gateway that is there or answers. One that hangs for longer than the lease of its link is there no
+    more for Zenoh, and nobody on the bus remembers it.
 
     Yields nothing more once every gateway that is there has told the end of each stop, or the time is over.
 
@@ -61,7 +65,7 @@ def stop_everywhere(
             session = stack.enter_context(open_client(connect=connect, tls=tls, timing=timing))
         except BusError as error:
             raise BusError(f"nothing was stopped: {error}") from error
-        call = _Call(session, requests=requests, site=site, gateway=gateway, timeout_s=timeout_s)
+        call = _Call(session, requests=requests, site=site, gateway=gateway, timeout_s=timeout_s, on_gateway=on_gateway)
         yield from call.run()
         if not call.known:
             raise CommandError(f"{nobody_alive(site=site, gateway=gateway, connect=connect)} Nothing was stopped")
@@ -79,13 +83,21 @@ class _Known:
 
 class _Call:
     def __init__(
-        self, session: zenoh.Session, *, requests: Sequence[StimulationRequest], site: str, gateway: str | None, timeout_s: float
+        self,
+        session: zenoh.Session,
+        *,
+        requests: Sequence[StimulationRequest],
+        site: str,
+        gateway: str | None,
+        timeout_s: float,
+        on_gateway: Callable[[str], None],
     ) -> None:
         self._session = session
         self._payloads = {request.command_id: encode_record(request) for request in requests}
         self._site = site
         self._pattern = gateway or ANY
         self._timeout_s = timeout_s
+        self._on_gateway = on_gateway
         self._news: queue.Queue[CommandStage | str] = queue.Queue(_MAX_WAITING)
         self.known: dict[str, _Known] = {}
 
@@ -120,10 +132,13 @@ class _Call:
             news = self._news.get(timeout=_BY_NAME_AFTER_S)
         except queue.Empty:
             return None
+        name = news if isinstance(news, str) else news.gateway
+        if name not in self.known:
+            self.known[name] = _Known(now_s)
+            self._on_gateway(name)
         if isinstance(news, str):
-            self.known.setdefault(news, _Known(now_s))
             return None
-        known = self.known.setdefault(news.gateway, _Known(now_s))
+        known = self.known[name]
         key = (news.command_id, news.node, news.stage.value)
         if key in known.told:
             return None

@@ -174,6 +174,12 @@ def _pulse_problems(table: StimulationTable) -> Iterator[Unfit]:
         if not least <= value <= most:
             keys = (f"stimulation.{key}", f"stimulation.max_{key}", *(["stimulation.min_frequency_hz"] if least else []))
             yield Unfit(keys=keys, reason=f"stimulation.{key} is {value}, but its own limits are {least} to {most}; change it, or them")
+    if table.duration_ms > table.max_on_s * 1000:
+        limit = f"no window takes more stimulation than stimulation.max_on_s = {table.max_on_s:g} s, so every command would be refused"
+        yield Unfit(
+            keys=("stimulation.duration_ms", "stimulation.max_on_s"),
+            reason=f"stimulation.duration_ms is {table.duration_ms}, but {limit}; change one of them",
+        )
     if _LAST_CHANNEL < table.channel < OWN_CHANNEL:
         limit = f"a backpack has channels 0 to {_LAST_CHANNEL}; {OWN_CHANNEL} leaves it to the backpack"
         yield Unfit(keys=("stimulation.channel",), reason=f"stimulation.channel is {table.channel}, but {limit}")

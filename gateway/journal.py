@@ -6,7 +6,6 @@ behind it is published or acknowledged in between, and nothing is lost. A write 
 """
 
 import asyncio
-import contextlib
 import sqlite3
 import struct
 import time
@@ -37,6 +36,7 @@ from gateway.journal_file import (
     open_journal_file,
 )
 from gateway.log import EventLog
+from gateway.machine_boot import read_machine_boot
 
 _log = EventLog(__name__)
 
@@ -53,7 +53,6 @@ and a repetition is no write: it takes a flood of commands, or two thousand biob
 _UNSTORABLE = (OverflowError, TypeError, ValueError, struct.error)
 """What adding a write to a group raises where it can never be stored. What SQLite raises is the disk's, and is waited out."""
 
-_MACHINE_BOOT = Path("/proc/sys/kernel/random/boot_id")
 _FIRST_RETRY_S, _MAX_RETRY_S = 0.1, 2.0
 _KEEP_ALL = Retention()
 _TIDY_PERIOD_S, _TIDY_AGAIN_S = 1.0, 0.02
@@ -87,6 +86,7 @@ class Journal:
         self._path, self._file, self._health = path, file, health
         self._groups: deque[_Group] = deque()
         self._n_waiting = 0
+        self._under_way: _Group | None = None
         self._wake = asyncio.Event()
         self._pace = CommitPace()
         self._head_offset = file.identity.head_offset
@@ -111,7 +111,7 @@ class Journal:
     @classmethod
     def open(cls, path: Path, *, health: Health, retention: Retention = _KEEP_ALL, gateway: str | None = None) -> Self:
         """Open or make the journal at ``path``, of a gateway of that name (None: whichever); raises ``JournalUnfitError``."""
-        boot = _read_machine_boot()
+        boot = read_machine_boot()
         file = open_journal_file(path, now_wall_ns=time.time_ns(), now_ns=time.monotonic_ns(), machine_boot=boot, gateway=gateway)
         return cls(path=path, file=file, health=health, retention=retention)
 
@@ -164,6 +164,12 @@ class Journal:
     def commit_s(self) -> float:
         """How long the commit under way has taken [s], with all its attempts; 0: there is none."""
         return 0.0 if self._commit_begun_s is None else time.monotonic() - self._commit_begun_s
+
+    def unwritten(self) -> Mapping[str, int]:
+        """Return how many records, messages and rows of the audit log are not on disk, of what was appended."""
+        groups = [*self._groups] if self._under_way is None else [self._under_way, *self._groups]
+        counts = [group.segment.counts() for group in groups]
+        return {name: sum(one[name] for one in counts) for name in ("records", "messages", "audit_rows")}
 
     def reader(self) -> JournalReader:
         """Return a connection that reads what is committed; its owner closes it."""
@@ -304,7 +310,7 @@ class Journal:
     async def _commit(self, group: _Group) -> None:
         """Commit a group in one transaction, as often as it takes, then tell of it."""
         loop, segment, retry_s = asyncio.get_running_loop(), group.segment, _FIRST_RETRY_S
-        self._commit_begun_s = time.monotonic()
+        self._commit_begun_s, self._under_way = time.monotonic(), group
         self._pace.begin(segment.n_writes, now_s=loop.time())
         while True:
             try:
@@ -318,7 +324,7 @@ class Journal:
         self._leave_fault()
         self._n_untidied += 1
         self._health.observe("journal.commit", self.commit_s)
-        self._commit_begun_s = None
+        self._commit_begun_s = self._under_way = None
         self._n_waiting -= segment.n_writes
         self._health.set_level("journal.waiting", self._n_waiting)
         self._health.count("journal.commits")
@@ -392,10 +398,3 @@ class Journal:
             self._fault = None
             if self._on_fault is not None:
                 self._on_fault(None)
-
-
-def _read_machine_boot() -> str:
-    """Return the kernel's name for the time since the machine booted; empty where it gives none."""
-    with contextlib.suppress(OSError):
-        return _MACHINE_BOOT.read_text(encoding="ascii").strip()
-    return ""

@@ -274,7 +274,8 @@ class Service:
             async with asyncio.timeout(_DRAIN_TIMEOUT_S):
                 await self._journal.drain()
         except TimeoutError:
-            _log.error("gateway.undrained", reason=self._journal.fault or "slow disk", seconds=_DRAIN_TIMEOUT_S)
+            lost = {"reason": self._journal.fault or "slow disk", "seconds": _DRAIN_TIMEOUT_S, **self._journal.unwritten()}
+            _log.error("gateway.undrained", **lost, advice="these are lost; make room before the next start, and keep this log")
         journal_task.cancel()
 
     def _on_status(self, bus: Bus, gate: StimulationGate, status: NodeStatus) -> None:

@@ -99,6 +99,8 @@ class Steering:
     """It may be in motion by a command of ours: the commander has to beat."""
     is_stopped: bool = False
     """It confirmed the newest command, a stop."""
+    is_halted: bool = False
+    """Somebody else has stopped it since our newest command went out."""
     newest: str = ""
     """Id of the command that was sent last."""
     account: StimulationAccount | None = None
@@ -115,6 +117,7 @@ class Steering:
     def sent(self, command_id: str, action: StimulationAction) -> None:
         """Take that a command goes out."""
         self.newest, self.has_ended, self.is_stopped, self.is_confirmed = command_id, False, False, False
+        self.is_halted = False
         self._ours.append(command_id)
         self.is_moving = self.is_moving or action is not StimulationAction.STOP
 
@@ -123,6 +126,7 @@ class Steering:
         who = f"{stage.operator}: " if stage.operator and stage.command_id not in self._ours else ""
         self.say(f"{who}{stage.action.value}: {stage.stage.value}" + (f": {stage.reason}" if stage.reason else ""))
         is_stopped = stage.action is StimulationAction.STOP and stage.stage is Stage.BIOBOT_CONFIRMED
+        self.is_halted |= stage.action is StimulationAction.STOP and stage.stage is Stage.ACCEPTED and stage.command_id not in self._ours
         if is_stopped and self.has_ended and stage.command_id not in self._ours:
             self.is_stopped, self.is_moving = True, False
         if stage.command_id != self.newest or not stage.is_final:

@@ -14,11 +14,12 @@ from mapper.alert_book import Alert, AlertBook
 from mapper.alert_rules import AlertLimits, Situation, find_conditions
 from mapper.changes import Changes, Topic
 from mapper.current_map import CurrentMap
-from mapper.errors import AlertNotFoundError, MapDocumentError, StoreError
+from mapper.errors import MapDocumentError, StoreError
 from mapper.fleet import Fleet
 from mapper.hole_watch import HoleWatch
 from mapper.log import EventLog
 from mapper.recent_contacts import RecentContacts
+from mapper.request_errors import AlertNotFoundError
 from mapper.store_thread import StoreThread
 
 _log = EventLog(__name__)

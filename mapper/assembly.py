@@ -7,10 +7,7 @@ import numpy as np
 
 from mapper.component_map import PlacedComponent
 from mapper.landmark_stands import Stands, make_landmarks
-from mapper.types import EncounterTable, FloatArray, Hole, IntArray, MapResult, Points, Recipe, read_only
-
-GAP_SHARE = 0.1
-"""Of the largest diameter: between components drawn side by side."""
+from mapper.types import GAP_SHARE, EncounterTable, FloatArray, Hole, IntArray, MapResult, Points, Recipe, read_only
 
 
 def assemble(

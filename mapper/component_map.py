@@ -238,13 +238,16 @@ def draw_component(placed: PlacedComponent, recipe: Recipe, *, index: int, is_ho
 def _locate_landmarks(
     graph: EncounterGraph, metric: Metric, points: IntArray, *, origin_ns: int, ticks_per_length: float, n_seen: int
 ) -> LandmarkPlaces:
-    node, begin, end = graph.stands.T
+    to_points = distances_to(metric, graph.landmarks, points) / ticks_per_length
+    is_known = np.isfinite(to_points).all(axis=1)  # of very many stands, few were placed
+    node, begin, end = graph.stands[is_known].T
+    landmarks = graph.landmarks[is_known]
     return LandmarkPlaces(
         node=read_only(node.copy()),
         t_start_ns=read_only(origin_ns + begin // 2),
         t_end_ns=read_only(origin_ns + end // 2),
-        to_points=read_only(distances_to(metric, graph.landmarks, points) / ticks_per_length),
-        between=read_only(distances_to(metric, graph.landmarks, graph.landmarks) / ticks_per_length),
+        to_points=read_only(to_points[is_known]),
+        between=read_only(distances_to(metric, landmarks, landmarks) / ticks_per_length),
         n_seen=n_seen,
     )
 
@@ -341,10 +344,12 @@ def _place_and_compare(
     placement = place_in_plane(graph, references, middle=bracket.middle, doubt=bracket.doubt, contact=contact)
     candidates = thin_out(kept & placement.is_placed, limit=recipe.max_candidates)
     n_averaged = max(_LEAST_AVERAGED, round(recipe.smoothing_share / views.number * placement.is_placed.sum()))
-    profiles = placed_profiles(graph, placement, candidates, references, middle=bracket.middle, n_neighbours=n_averaged)
+    profiled = candidates.copy()
+    profiled[graph.landmarks] = placement.is_placed[graph.landmarks]  # where they are is asked for, candidates or not
+    profiles = placed_profiles(graph, placement, profiled, references, middle=bracket.middle, n_neighbours=n_averaged)
     surplus = candidates.sum() / count_points_of_views(n_points, views) - recipe.encounters_per_point
-    profiles[candidates] = smooth_profiles(
-        profiles[candidates],
+    profiles[profiled] = smooth_profiles(
+        profiles[profiled],
         n_neighbours=max(0, round(_SPREAD_SHARE * surplus)),
         n_passes=recipe.smoothing_passes,
         kernels=graph.kernels,

@@ -207,6 +207,7 @@ class CurrentMap:
                     return
                 if latest is self._latest:
                     self._latest = latest.framed(framing)
+                    self._unkept.set()
                     self._changes.bump(Topic.MAP)
             self.framing_fault = None
 

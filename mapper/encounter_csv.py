@@ -33,6 +33,8 @@ from mapper.window import make_encounter_table
 
 ENCOUNTER_COLUMNS = ("t_start_s", "t_end_s", "id1", "id2")
 MODE_COLUMNS = ("t_start_s", "t_end_s", "id", "mode", "cause")
+JOURNAL_MODE_COLUMNS = ("start_wall_ns", "end_wall_ns", "node", "mode", "cause")
+"""What ``biobot-gateway journal export --kind modes`` writes."""
 
 MAX_FILE_BYTES = 2**30
 """A file is read whole."""
@@ -98,7 +100,9 @@ def read_encounters(path: Path, *, kernels: KernelsKind | None = None) -> Encoun
 def read_modes(
     path: Path, *, number_of: Callable[[str], int | None] | None = None, time_of: Callable[[str, str], int] | None = None
 ) -> tuple[ModeSpell, ...]:
-    """Read a file with the columns ``t_start_s,t_end_s,id,mode,cause``; an empty ``t_end_s`` is a spell that lasts.
+    """Read a file with the columns ``t_start_s,t_end_s,id,mode,cause``, or one that a gateway's journal was exported to.
+
+    An empty end is a spell that lasts.
 
     Parameters
     ----------
@@ -112,8 +116,12 @@ def read_modes(
     InputFileError
         As for `read_encounters`.
     """
-    parse = partial(_parse_spell, number_of=number_of, time_of=time_of)
-    spells = _read_rows(path, read_bytes(path), columns=MODE_COLUMNS, parse=parse)
+    data = read_bytes(path)
+    if _is_of_a_journal(data):
+        read = partial(_parse_journal_spell, number_of=number_of)
+        spells = _read_rows(path, data, columns=JOURNAL_MODE_COLUMNS, parse=read)
+    else:
+        spells = _read_rows(path, data, columns=MODE_COLUMNS, parse=partial(_parse_spell, number_of=number_of, time_of=time_of))
     return tuple(spell for spell in spells if spell is not None)
 
 
@@ -288,6 +296,28 @@ def _parse_spell(
     if node is None:
         return None
     return ModeSpell(node=NodeId(node), t_start_ns=start, t_end_ns=end, mode=mode, cause=cause)
+
+
+def _parse_journal_spell(row: Mapping[str, str], *, number_of: Callable[[str], int | None] | None) -> ModeSpell | None:
+    times = {name: row[name] if name != "end_wall_ns" or row[name] else row["start_wall_ns"] for name in ("start_wall_ns", "end_wall_ns")}
+    for name, text in times.items():
+        if not _WHOLE.fullmatch(text) or int(text) > _MAX_TIME_S * NS_PER_S:
+            raise _FieldError(f"{name} is {_shown(text)}; wanted nanoseconds since 1970")
+    start, end = (int(text) for text in times.values())
+    if end < start:
+        raise _FieldError(f"end_wall_ns {end} is before start_wall_ns {start}")
+    node = _node(row, "node") if number_of is None else number_of(row["node"])
+    mode, cause = _member(row, "mode", Mode), _member(row, "cause", Cause)
+    if node is None:
+        return None
+    return ModeSpell(node=NodeId(node), t_start_ns=start, t_end_ns=end if row["end_wall_ns"] else None, mode=mode, cause=cause)
+
+
+def _is_of_a_journal(data: bytes) -> bool:
+    """Whether the header is that of spells which a gateway's journal was exported to."""
+    header = data.partition(b"\n")[0].decode("utf-8-sig", errors="replace")
+    names = {name.strip().strip('"') for name in header.split(",")}
+    return names.issuperset(JOURNAL_MODE_COLUMNS) and not names.issuperset(MODE_COLUMNS)
 
 
 def _time_ns(row: Mapping[str, str], name: str, time_of: Callable[[str, str], int] | None = None) -> int:

@@ -22,22 +22,15 @@ MapError
 ├── WorkerDiedError        the process that was computing ended before its answer
 ├── JobError               a computation failed for a reason that its code did not foresee
 ├── NoMapYetError          no map has been finished yet
-├── MapNotFoundError       a map of the past is not kept
-├── AlertNotFoundError     there is no alert of this id
 ├── BiobotNotFoundError    no gateway has spoken of this biobot
 ├── CommandNotFoundError   nobody told of a command of this id lately
 ├── CommandRefusedError    a command was refused
 ├── GatewayAwayError       the gateway that something was given to does not answer
 ├── StopUnansweredError    gateways told nothing of a stop
 ├── OrderRefusedError      no mission took an order
-├── HoleNotFoundError      the map has no hole of this number
-├── PinNotFoundError       there is no pin of this name
-├── PinRefusedError        a pin cannot be kept as things stand
-├── TaskNotFoundError      there is no job of this id
-├── NoResultError          a job has no result, or none yet
 └── TooManyError           a limit on what runs at the same time is reached: ask again later
 
-Those of access are in `mapper.access.errors`.
+Those of access are in `mapper.access.errors`, and those of what is asked of the web service in `mapper.request_errors`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -321,68 +314,6 @@ class OrderRefusedError(MapError):
         self.answers = tuple(answers)
 
 
-class HoleNotFoundError(MapError):
-    """The map has no hole of this number."""
-
-    def __init__(self, *, number: int, n_holes: int) -> None:
-        super().__init__(f"the map has no hole {number}; it has {n_holes}, numbered from 1; GET /api/v1/holes lists them")
-        self.number = number
-        self.n_holes = n_holes
-
-
-class PinNotFoundError(MapError):
-    """There is no pin of this name."""
-
-    def __init__(self, *, name: str) -> None:
-        super().__init__(f"there is no pin {name!r}; GET /api/v1/pins lists those there are")
-        self.name = name
-
-
-class PinRefusedError(MapError):
-    """A pin cannot be kept as things stand; all is as before."""
-
-    def __init__(self, *, name: str, reason: str, next_step: str) -> None:
-        super().__init__(f"pin {name!r} is not kept: {reason}; {next_step}")
-        self.name = name
-        self.reason = reason
-
-
-class TaskNotFoundError(MapError):
-    """There is no job of this id."""
-
-    def __init__(self, *, task: str, kept: int) -> None:
-        super().__init__(f"there is no job {task!r}; of those that have ended, the newest {kept} are kept; GET /api/v1/jobs lists them")
-        self.task = task
-
-
-class NoResultError(MapError):
-    """A job has no result: it has not ended yet, or it failed or was cancelled."""
-
-    def __init__(self, *, task: str, state: str, problem: str | None) -> None:
-        why = "" if problem is None else f": {problem}"
-        next_step = "wait for it" if state in {"waiting", "running"} else "order it again"
-        super().__init__(f"job {task!r} has no result, it is {state}{why}; {next_step}")
-        self.task = task
-        self.state = state
-
-
-class OtherVersionError(MapError):
-    """Something of a map was asked for that is no longer, or not yet, the newest."""
-
-    def __init__(self, *, asked: int, newest: int) -> None:
-        super().__init__(f"map {asked} is not the newest, that is {newest}; ask for that")
-        self.asked = asked
-        self.newest = newest
-
-
-class LengthsNotKeptError(MapError):
-    """The mapper was started anew, and the lengths between the points of the map from before were not kept."""
-
-    def __init__(self, *, version: int) -> None:
-        super().__init__(f"the lengths of map {version} were not kept when the mapper was started anew; the next map will have them")
-        self.version = version
-
-
 class TooManyError(MapError):
     """A limit on what runs at the same time is reached."""
 
@@ -390,20 +321,3 @@ class TooManyError(MapError):
         super().__init__(f"already {limit} {what}, the limit; ask again later")
         self.what = what
         self.limit = limit
-
-
-class MapNotFoundError(MapError):
-    """A map of the past is not there: it never was, or is too old."""
-
-    def __init__(self, *, version: int, oldest: int | None, newest: int | None) -> None:
-        there = "none is kept yet" if oldest is None else f"of versions {oldest} to {newest} some are kept"
-        super().__init__(f"no map of version {version} is kept; {there}, which /api/v1/maps lists")
-        self.version = version
-
-
-class AlertNotFoundError(MapError):
-    """There is no alert of an id."""
-
-    def __init__(self, *, alert_id: int) -> None:
-        super().__init__(f"no alert has the id {alert_id}; /api/v1/alerts lists those that are remembered")
-        self.alert_id = alert_id

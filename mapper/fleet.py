@@ -86,6 +86,8 @@ class Fleet:
     _hearers: dict[NodeId, dict[str, None]] = field(default_factory=dict)
     _all_stopped_ns: dict[str, int] = field(default_factory=dict)
     """By gateway when it last stopped all, on its wall clock."""
+    _stopped_ns: dict[NodeId, int] = field(default_factory=dict)
+    """By biobot when it was last told to stop by itself, on the wall clock of the gateway that told it."""
     _neighbours: dict[NodeId, NeighbourReport] = field(default_factory=dict)
     _n_encounters: Mapping[NodeId, int] = field(default_factory=dict)
     _shifts_ns: Mapping[str, int] = field(default_factory=dict)
@@ -131,9 +133,13 @@ class Fleet:
                 self._put(self._modes, record.node, record)
 
     def take_stage(self, stage: CommandStage) -> None:
-        """Learn of stops of all: whom they halt is no landmark."""
-        if stage.action is StimulationAction.STOP_ALL and stage.stage is Stage.ACCEPTED and stage.gateway in self._gateways:
+        """Learn of stops of all: whom they halt is no landmark, unless it was told to stop by itself since."""
+        if stage.stage is not Stage.ACCEPTED or stage.gateway not in self._gateways:
+            return
+        if stage.action is StimulationAction.STOP_ALL:
             self._all_stopped_ns[stage.gateway] = stage.wall_ns
+        elif stage.action is StimulationAction.STOP and not stage.part_of:
+            self._put(self._stopped_ns, stage.node, stage.wall_ns)
 
     def set_encounter_counts(self, n_encounters_of: Mapping[NodeId, int]) -> None:
         """Set how many encounters each biobot has."""
@@ -231,6 +237,8 @@ class Fleet:
         spell = self._modes.get(node)
         stopped_ns = None if spell is None else self._all_stopped_ns.get(spell.gateway)
         if spell is None or stopped_ns is None or spell.mode is not Mode.S or spell.cause is not Cause.COMMAND:
+            return False
+        if self._stopped_ns.get(node, stopped_ns) > stopped_ns:
             return False
         return _HALTED_FROM_NS <= spell.t_start_ns + spell.wall_anchor_ns - stopped_ns <= _HALTED_TO_NS
 

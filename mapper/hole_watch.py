@@ -5,6 +5,7 @@ from math import hypot, pi, sqrt
 from typing import Final
 
 from mapper.alert_book import AlertKind, Condition, Severity
+from mapper.certainty import sure_text
 from mapper.map_difference import DiffHole, compare_maps
 
 MAPS_IN_A_ROW: Final = 3
@@ -96,5 +97,5 @@ def _is_there(one: DiffHole, other: DiffHole) -> bool:
 
 
 def _describe(hole: DiffHole, unit: str) -> str:
-    sure = "" if hole.probability is None else f", {hole.probability:.0%} sure"
+    sure = "" if hole.probability is None else f", {sure_text(hole.probability)}"
     return sure + ("" if hole.area is None else f", of about {hole.area:.2g} {unit}²")

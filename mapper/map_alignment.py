@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mapper.assembly import GAP_SHARE
 from mapper.frames import Similarity
 from mapper.map_marks import Marks, shared_marks, take_marks
-from mapper.types import FloatArray, Hole, Landmark, MapResult, Points, read_only
+from mapper.types import GAP_SHARE, FloatArray, Hole, Landmark, MapResult, Points, read_only
 
 _LEAST_SHARED = 2
 # The other handedness must fit better by this much of the spread: two marks, or many on one line, tell nothing of it.

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from mapper.certainty import chance_text, sure_text
 from mapper.errors import MapDocumentError
 from mapper.frames import Similarity
 from mapper.map_alignment import ComponentFit, fit_components
@@ -231,7 +232,7 @@ def summarize_difference(found: MapDifference) -> list[str]:
         sure = (
             ""
             if one.before.probability is None or one.after.probability is None
-            else f", {one.before.probability:.0%} -> {one.after.probability:.0%} sure"
+            else f", {chance_text(one.before.probability)} -> {sure_text(one.after.probability)}"
         )
         if round(one.moved, _DIGITS) or one.before.area != one.after.area or one.before.probability != one.after.probability:
             lines.append(f"hole {one.after.hole} is still there{grown}{sure}")
@@ -353,7 +354,7 @@ def _compare_landmarks(maps: tuple[_Map, _Map]) -> DiffLandmarks:
 
 
 def _sure(hole: DiffHole) -> str:
-    return "" if hole.probability is None else f", {hole.probability:.0%} sure"
+    return "" if hole.probability is None else f", {sure_text(hole.probability)}"
 
 
 def _size(hole: DiffHole, unit: str) -> str:
@@ -366,7 +367,7 @@ def _before(hole: DiffHole, when: str) -> str:
     if hole.possible_in_other is None:
         return ""
     return (
-        f" ({when} it is only possible, {hole.possible_in_other:.0%})"
+        f" ({when} it is only possible, {chance_text(hole.possible_in_other)})"
         if when == "now"
-        else f" (before it was only possible, {hole.possible_in_other:.0%})"
+        else f" (before it was only possible, {chance_text(hole.possible_in_other)})"
     )

@@ -4,8 +4,9 @@ from math import hypot
 
 import msgspec
 
-from mapper.errors import HoleNotFoundError, PlaceError
+from mapper.errors import PlaceError
 from mapper.places import BiobotPlace, MapPlace, PointPlace
+from mapper.request_errors import HoleNotFoundError
 
 
 class _Document(msgspec.Struct, frozen=True, kw_only=True):

@@ -14,11 +14,12 @@ from typing import Final
 import msgspec
 
 from mapper.changes import Changes, Topic
-from mapper.errors import MapNotFoundError, StoreError
+from mapper.errors import StoreError
 from mapper.log import EventLog
 from mapper.map_archive import PastMap, change_past_maps, pack_documents, read_documents, read_past_maps, unpack_documents
 from mapper.map_difference import MapDifference, compare_maps
 from mapper.map_snapshot import MapSnapshot
+from mapper.request_errors import MapNotFoundError
 from mapper.store_thread import StoreThread
 from mapper.thinning import Rung, choose_kept
 

@@ -16,6 +16,7 @@ from firmware_protocol.contract.commands import StimulationAccount
 from firmware_protocol.contract.records import MissionRecord
 from firmware_protocol.units import EVERYBODY
 from mapper.alert_book import Alert, AlertKind
+from mapper.certainty import chance_text, sure_text
 from mapper.command_log import Command
 from mapper.fleet import BiobotView, GatewayView
 from mapper.map_archive import PastMap
@@ -120,7 +121,7 @@ def _of_map(map_: _Map) -> list[str]:
     unit = map_.parameters.length_unit
     b0, b1 = map_.betti_numbers
     parts = _counted(b0, "connected part", "connected parts")
-    sure = "how sure that is is not known" if map_.hole_count is None else f"{map_.hole_count.probability:.0%} sure"
+    sure = "how sure that is is not known" if map_.hole_count is None else sure_text(map_.hole_count.probability)
     verdict = f"The map shows {_counted(b1, 'hole', 'holes')} ({sure}) in {parts}."
     if map_.hole_count is not None and not map_.hole_count.is_known:
         verdict = f"How many holes there are is not known. The map shows {parts}."
@@ -133,7 +134,7 @@ def _of_map(map_: _Map) -> list[str]:
         ]
     others = [] if map_.hole_count is None else sorted(map_.hole_count.probabilities.items(), key=lambda item: -item[1])
     if others:
-        chances = ", ".join(f"{number}: {chance:.0%}" for number, chance in others[:4] if chance >= 0.005)
+        chances = ", ".join(f"{number}: {chance_text(chance)}" for number, chance in others[:4] if chance >= 0.005)
         lines.append(f"<p>How likely each number of holes is: {escape(chances)}.</p>")
     lines.append(
         f"<p>It is of {map_.n_encounters} encounters ({map_.n_used} used), {map_.diameter:.3g} {escape(unit)} from end to end; "
@@ -150,7 +151,7 @@ def _of_map(map_: _Map) -> list[str]:
 def _hole_row(name: str, hole: DrawnHole) -> list[str]:
     area = "not known" if hole.area is None else f"{hole.area:.3g} ± {hole.area_error or 0.0:.2g}"
     around = "not known" if hole.perimeter is None else f"{hole.perimeter:.3g} ± {hole.perimeter_error or 0.0:.2g}"
-    return [name, "not known" if hole.probability is None else f"{hole.probability:.0%}", area, around, str(hole.component + 1)]
+    return [name, "not known" if hole.probability is None else chance_text(hole.probability), area, around, str(hole.component + 1)]
 
 
 def _lost(facts: ReportFacts) -> str:

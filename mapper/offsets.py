@@ -1,7 +1,7 @@
 """Which offsets of a journal have arrived: all up to a watermark, and ranges beyond it."""
 
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 
 class OffsetSet:
@@ -60,3 +60,18 @@ class OffsetSet:
         if first > up_to:
             return None
         return first, min(up_to, self._firsts[0] - 1) if self._firsts else up_to
+
+
+def runs(offsets: Iterable[int]) -> Iterator[tuple[int, int]]:
+    """Yield first and last of the offsets that follow each other: a batch is most often one run."""
+    first = last = None
+    for offset in offsets:
+        if first is None or last is None:
+            first = last = offset
+        elif offset == last + 1:
+            last = offset
+        elif offset != last:
+            yield first, last
+            first = last = offset
+    if first is not None and last is not None:
+        yield first, last

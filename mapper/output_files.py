@@ -13,6 +13,8 @@ from secrets import token_hex
 
 from mapper.errors import OutputFileError
 
+_DATABASE = b"SQLite format 3\0"
+
 STANDARD = Path("-")
 """This name means standard output for a result, and standard input for a file that is read."""
 
@@ -42,8 +44,10 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
             if any(map(is_standard_output, earlier)):
                 raise OutputFileError(path=str(path), reason="standard output is named for two outputs")
             continue
-        if _real(path) in read:
+        if _real(path) in read or any(_is_same_file(path, one) for one in read):
             raise OutputFileError(path=str(path), reason="is also an input; it would be overwritten")
+        if path.is_file() and _begins_as_database(path):
+            raise OutputFileError(path=str(path), reason="is a database, maybe a store or a journal, which would be lost")
         if any(_real(path) == _real(other) for other in earlier if other != STANDARD):
             raise OutputFileError(path=str(path), reason="is named for two outputs")
         _check_place(path)
@@ -84,6 +88,21 @@ def _check_place(path: Path) -> None:
             raise OutputFileError(path=str(path), reason=f"it, or the directory {folder}, cannot be written to")
     except (OSError, ValueError) as error:
         raise OutputFileError(path=str(path), reason=_reason(error)) from error
+
+
+def _is_same_file(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)  # a hard link leads to it, too
+    except OSError:
+        return False
+
+
+def _begins_as_database(path: Path) -> bool:
+    try:
+        with path.open("rb") as there:
+            return there.read(len(_DATABASE)) == _DATABASE
+    except OSError:
+        return False  # one that may not be read may be replaced
 
 
 def _is_replaced(path: Path) -> bool:

@@ -3,9 +3,9 @@
 from typing import Final
 
 from mapper.changes import Changes, Topic
-from mapper.errors import PinNotFoundError, PinRefusedError
 from mapper.named_pins import NamedPin
 from mapper.pin_table import drop_pin, put_pin, read_pins
+from mapper.request_errors import PinNotFoundError, PinRefusedError
 from mapper.store_thread import StoreThread
 
 MAX_PINS: Final = 200

@@ -163,6 +163,21 @@ class EncounterColumns:
         begin, end, id1, id2 = (column[row] for column in self._columns[:4])
         return EncounterRows(row=row, t_start_ns=begin, t_end_ns=end, id1=id1, id2=id2, counts=counts[row].astype(np.bool_))
 
+    def page(self, *, first: int, limit: int) -> tuple[EncounterRows, int | None]:
+        """Return the encounters that count among so many rows from ``first`` on, and the row to go on with; None: that is all."""
+        last = min(first + limit, self._n_rows)
+        begin, end, id1, id2, counts, changes = self._columns[:, first:last]
+        row = np.flatnonzero((counts > 0) & (changes > 0))
+        page = EncounterRows(
+            row=row + first,
+            t_start_ns=begin[row],
+            t_end_ns=end[row],
+            id1=id1[row],
+            id2=id2[row],
+            counts=np.ones(len(row), dtype=np.bool_),
+        )
+        return page, last if last < self._n_rows else None
+
     def differs(self, rows: EncounterRows) -> BoolArray:
         """Say of each row, shape (m,), whether it is another one here, or not here."""
         self._reserve(int(rows.row.max(initial=-1)) + 1)

@@ -3,7 +3,8 @@
 from collections.abc import Mapping, Sequence
 from math import isfinite
 
-from mapper.confidence import describe_count, sure_text
+from mapper.certainty import sure_text
+from mapper.confidence import describe_count
 from mapper.record_columns import to_unsigned
 from mapper.types import (
     BettiRule,

@@ -34,9 +34,11 @@ from mapper.config import LimitsConfig, MapperConfig, ServiceConfig, load_mapper
 from mapper.connection import ConnectionWatch
 from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
+from mapper.encounter_export import Exports
 from mapper.errors import EngineMissingError, ListenError, MapError, OutputFileError
 from mapper.fleet import Fleet
 from mapper.intake import Intake
+from mapper.jobs import JobDesk
 from mapper.kernels import choose_kernels
 from mapper.log import EventLog, set_up_logging
 from mapper.map_history import MapHistory
@@ -171,6 +173,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, token_file: Pat
             window_ns=window_ns,
         )
         await current_map.restore()
+        jobs = JobDesk(records=records, changes=changes, pins=pins, recipe=config.recipe, new_id=lambda: secrets.token_hex(6))
 
         access = _make_access(register, config)
 
@@ -215,6 +218,8 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, token_file: Pat
             accounts=accounts,
             access=access,
             pins=pins,
+            jobs=jobs,
+            exports=Exports(records),
             changes=changes,
             is_connected=lambda: bus.is_connected,
             counters=counters,
@@ -229,7 +234,7 @@ async def _serve(config: MapperConfig, *, url_file: Path | None, token_file: Pat
             )
         stack.enter_context(_signals_set(stopping))
         async with asyncio.TaskGroup() as group:
-            parts = (intake, desk, commander, history, current_map, alerts, watermarks, watch, register)
+            parts = (intake, desk, commander, history, current_map, alerts, jobs, watermarks, watch, register)
             tasks = [group.create_task(part.run(), name=type(part).__name__) for part in parts]
             serving = group.create_task(server.serve(sockets=[listener]), name="http")
             group.create_task(_announce(server, listener, manager, serve=serve, url_file=url_file), name="announce")

@@ -29,7 +29,7 @@ from firmware_protocol.units import NodeId
 from mapper.encounter_pages import EncounterPage, read_page
 from mapper.errors import StoreError
 from mapper.gateway_clocks import SourceClock
-from mapper.offsets import OffsetSet
+from mapper.offsets import OffsetSet, runs
 from mapper.record_columns import EncounterRows, is_fit, wall_interval
 from mapper.record_rows import RecordRows
 from mapper.replica import StoreDelta
@@ -245,6 +245,10 @@ class Store:
         """Return encounters changed after a cursor, void ones too; a corrected one comes again, at the end."""
         return read_page(self._db, self._site, kind=Kind.ENCOUNTER, after=after, limit=limit)
 
+    def rows(self, *, first: int, limit: int) -> tuple[EncounterRows, int | None]:
+        """Return the encounters that count among so many rows from ``first`` on, and the row to go on with; None: that is all."""
+        return self._site.encounters.page(first=first, limit=limit)
+
     def missions(self) -> tuple[MissionRecord, ...]:
         """Return all mission phases in the order in which they began."""
         return tuple(sorted(self._site.missions.values(), key=lambda record: (wall_interval(record)[0], record.gateway, record.offset)))
@@ -313,7 +317,7 @@ class Store:
             return len(batch.records)
         source = touched.get(key) or touched.setdefault(key, self._copy_source(name, journal))
         # An unfit record counts as arrived, or the gap would be asked for again for ever.
-        for first, last in _runs(records):
+        for first, last in runs(record.offset for record in records):
             source.offsets.add(first, last)
         fit = [(source.id, _KINDS[type(record)], record) for record in records if is_fit(record)]
         into += fit
@@ -383,16 +387,3 @@ class Store:
         if rows:
             self._db.executemany("INSERT INTO span (source, first, last) VALUES (?, ?, ?)", rows)
         source.has_spans = bool(rows)
-
-
-def _runs(records: Sequence[JournalRecord]) -> Iterator[tuple[int, int]]:
-    """Yield first and last of the offsets that follow each other: a batch is most often one run."""
-    first = last = records[0].offset
-    for record in records:
-        offset = record.offset
-        if offset == last + 1:
-            last = offset
-        elif offset != last:
-            yield first, last
-            first = last = offset
-    yield first, last

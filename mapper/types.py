@@ -320,6 +320,9 @@ class Standing:
     reason: str
 
 
+GAP_SHARE = 0.1
+"""Of the largest diameter: between components drawn side by side."""
+
 KNOWN_PLACES = "known_places"
 """Name of the assumption that places are known, which pins make true."""
 

@@ -12,6 +12,7 @@ from gateway.commands.audit_lines import COLUMNS, DOSE_HEAD, dose_line, escaped,
 from gateway.commands.journal import instant
 from gateway.commands.outcome import DONE, FAILED, complain, progress
 from gateway.errors import JournalUnfitError
+from gateway.journal_export.outputs import expect_output
 from gateway.journal_export.tables import write_csv, write_json_lines
 from gateway.journal_file import (
     AFTER_DAMAGE,
@@ -96,9 +97,10 @@ def _show(path: Path, selection: AuditSelection, *, is_json: bool, follows: bool
     last = 0
     while True:
         for row in read_audit_rows(path, selection, after=last):
-            last = row.id
+            last = row.last if isinstance(row, UnreadableRow) else row.id
             if isinstance(row, UnreadableRow):
-                complain(f"row {row.id} is not as a gateway writes it ({row.reason}); see `biobot-gateway audit verify {path}`")
+                which = f"row {row.id} is" if row.id == last else f"rows {row.id} to {last} are"
+                complain(f"{which} not as a gateway writes it ({row.reason}); see `biobot-gateway audit verify {path}`")
             else:
                 print(json.dumps(shown(row)) if is_json else line_of(row), flush=follows)
         if not follows:
@@ -107,23 +109,23 @@ def _show(path: Path, selection: AuditSelection, *, is_json: bool, follows: bool
 
 
 def _export(path: Path, selection: AuditSelection, *, csv: Path | None, json_lines: Path | None) -> int:
-    unreadable: list[int] = []
+    out = csv or json_lines
+    assert out is not None
+    expect_output(out, journal=path)
+    unreadable: list[str] = []
 
     def readable() -> Iterator[AuditEntry]:
         for row in read_audit_rows(path, selection):
             if isinstance(row, AuditEntry):
                 yield row
             elif len(unreadable) < _MAX_DIGITS:
-                unreadable.append(row.id)
+                unreadable.append(str(row.id) if row.id == row.last else f"{row.id} to {row.last}")
 
-    if csv is not None:
-        n_rows = write_csv(csv, COLUMNS, map(table_row, readable()))
-    else:
-        assert json_lines is not None
-        n_rows = write_json_lines(json_lines, map(shown, readable()))
-    complain(f"{csv or json_lines}: {n_rows} rows")
+    as_table = csv is not None
+    n_rows = write_csv(out, COLUMNS, map(table_row, readable())) if as_table else write_json_lines(out, map(shown, readable()))
+    complain(f"{out}: {n_rows} rows")
     if unreadable:
-        rows = ", ".join(map(str, unreadable))
+        rows = ", ".join(unreadable)
         return complain(f"left out, not as a gateway writes them: rows {rows}; see `biobot-gateway audit verify {path}`", status=FAILED)
     return DONE
 

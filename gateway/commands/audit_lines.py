@@ -5,6 +5,8 @@ import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 
+import msgspec
+
 from firmware_protocol.contract.commands import CommandStage, StimulationRequest
 from firmware_protocol.contract.records import decode_record
 from firmware_protocol.errors import RecordError
@@ -30,6 +32,16 @@ COLUMNS: Mapping[str, type] = {
     "gateway_boot": int,
     "facts": str,
     "hash": str,
+    "frequency_hz": int,
+    "pulse_width_us": int,
+    "amplitude_mv": int,
+    "duration_ms": int,
+    "channel": int,
+    "waveform": str,
+    "hold_ms": int,
+    "commander": str,
+    "ttl_ms": int,
+    "issued_wall_ns": int,
 }
 """Of an exported table."""
 
@@ -56,6 +68,9 @@ def shown(entry: AuditEntry) -> Shown:
         "train_ms": entry.train_ms or None,
         "hold_ms": (request.hold_ms or None) if request is not None else None,
         "commander": None if request is None else request.commander,
+        "ttl_ms": None if request is None else request.ttl_ms,
+        "issued_wall_ns": None if request is None else request.issued_wall_ns,
+        **_pulse_of(request),
         "wire_command": entry.wire_command,
         "gateway_boot": entry.boot or None,
         "ran_s": entry.ran_ns / NS_PER_S,
@@ -155,6 +170,14 @@ def _request_of(entry: AuditEntry) -> StimulationRequest | None:
         return decode_record(entry.request, StimulationRequest) if entry.request else None
     except RecordError:
         return None
+
+
+def _pulse_of(request: StimulationRequest | None) -> Shown:
+    """Return what a command asked of its train; what it left open is as the table says that was in force (kind ``limits``)."""
+    if request is None or request.pulse is None:
+        return {}
+    asked: Shown = msgspec.to_builtins(request.pulse)
+    return {name: value for name, value in asked.items() if value is not None}
 
 
 def _stage_of(entry: AuditEntry) -> CommandStage | None:

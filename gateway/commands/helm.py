@@ -20,7 +20,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from firmware_protocol.contract.commands import CommandStage, StimulationAccount, StimulationAction, StimulationRequest
+from firmware_protocol.contract.commands import CommandStage, PulseRequest, StimulationAccount, StimulationAction, StimulationRequest
 from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.bus_commander import CommanderSession
 from gateway.commands.outcome import complain
@@ -29,6 +29,9 @@ from gateway.steering import KEYS, Steering, Step, parse_keys
 _TICK_S: Final = 0.05
 _STOP_S: Final = 8.0
 """The end of a command is waited for so long; the gateway repeats a stop several times meanwhile."""
+
+_SPARE_S: Final = 1.0
+"""A hold lasts for so long after the end of its step, for commands take their time."""
 
 _TTL_MS: Final = 2000
 _HELP: Final = "arrows or w a d: start, left, right   down, s or space: stop   q: stop and leave"
@@ -43,13 +46,13 @@ class Helm:
         self._session = session
         self._node = node
         self._operator = operator
-        self._hold_s = hold_s
+        self.hold_s = hold_s
         self._is_shown = is_shown
         self.interrupted = interrupted
         self.steering = Steering()
 
-    def send(self, action: StimulationAction, *, at_least_s: float = 0.0) -> None:
-        """Send a command; a motion has a hold of so long, or longer where that is usual."""
+    def send(self, action: StimulationAction, *, pulse: PulseRequest | None = None) -> None:
+        """Send a command; a motion has a hold."""
         is_stop = action is StimulationAction.STOP
         command_id = f"steer-{uuid.uuid4().hex}"
         self.steering.sent(command_id, action)
@@ -61,7 +64,8 @@ class Helm:
                 operator=self._operator,
                 issued_wall_ns=Nanoseconds(time.time_ns()),
                 ttl_ms=_TTL_MS,
-                hold_ms=0 if is_stop else int(max(self._hold_s, at_least_s) * 1000),
+                hold_ms=0 if is_stop else int(self.hold_s * 1000),
+                pulse=pulse,
                 commander="" if is_stop else self._session.name,
             )
         )
@@ -115,12 +119,38 @@ def follow_script(helm: Helm, steps: list[Step]) -> int:
         if is_interrupted():
             break
         begun_s = time.monotonic()
-        helm.send(step.action, at_least_s=step.wait_s + 1.0)
-        helm.wait(_STOP_S, until=lambda: helm.steering.has_ended or is_interrupted())
-        is_cut_short = is_interrupted() and not helm.steering.has_ended
-        n_undone += not (helm.steering.is_confirmed or is_cut_short)
-        helm.wait(step.wait_s - (time.monotonic() - begun_s), until=is_interrupted)
+        is_done = _send_and_hear(helm, step.action)
+        if step.action is not StimulationAction.STOP:
+            is_done &= _go_on(helm, begun_s=begun_s, end_s=begun_s + step.wait_s)
+        n_undone += not is_done
+        helm.wait(begun_s + step.wait_s - time.monotonic(), until=is_interrupted)
     return n_undone
+
+
+def _send_and_hear(helm: Helm, action: StimulationAction, *, pulse: PulseRequest | None = None) -> bool:
+    """Send a command, and wait for its last stage; return whether it is done, or was cut short by an interruption."""
+    is_interrupted = helm.interrupted.is_set
+    helm.send(action, pulse=pulse)
+    helm.wait(_STOP_S, until=lambda: helm.steering.has_ended or is_interrupted())
+    return helm.steering.is_confirmed or (is_interrupted() and not helm.steering.has_ended)
+
+
+def _go_on(helm: Helm, *, begun_s: float, end_s: float) -> bool:
+    """Renew the hold of a motion that began until it is to end, by starts without a train; return whether all were confirmed.
+
+    Not where somebody else stops the biobot: then it stands for the rest of the step.
+    """
+    hold_s, is_confirmed = helm.hold_s, True
+    spare_s = min(_SPARE_S, hold_s / 2)
+    while end_s + spare_s > begun_s + hold_s:
+        helm.wait(begun_s + hold_s / 2 - time.monotonic(), until=lambda: helm.interrupted.is_set() or helm.steering.is_halted)
+        if helm.interrupted.is_set():
+            break
+        if helm.steering.is_halted or not helm.steering.is_moving:
+            return False
+        begun_s = time.monotonic()
+        is_confirmed &= _send_and_hear(helm, StimulationAction.START, pulse=PulseRequest(duration_ms=0))
+    return is_confirmed
 
 
 def follow_keys(helm: Helm) -> None:

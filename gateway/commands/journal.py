@@ -11,6 +11,7 @@ from firmware_protocol.errors import ConfigurationError
 from firmware_protocol.units import NS_PER_S
 from gateway.commands.outcome import DONE, FAILED, complain, progress
 from gateway.errors import JournalUnfitError
+from gateway.journal_export.outputs import expect_output
 from gateway.journal_export.rows import COLUMNS, Kind, Selection, read_rows
 from gateway.journal_export.tables import write_csv, write_parquet
 from gateway.journal_file import AFTER_DAMAGE, check_journal, describe_journal, expect_journal
@@ -75,9 +76,11 @@ def _export(options: argparse.Namespace, tell: Callable[[str], None]) -> int:
     write = write_csv if options.csv is not None else write_parquet
     kinds = list(Kind) if options.kind == _ALL else [Kind(options.kind)]
     hear = left_out.setdefault if options.skip_damaged else None
-    for kind in kinds:
+    targets = {kind: out if len(kinds) == 1 else out.with_name(f"{out.stem}.{kind.value}{out.suffix}") for kind in kinds}
+    for target in targets.values():
+        expect_output(target, journal=options.file)
+    for kind, target in targets.items():
         selection = Selection(kind=kind, from_wall_ns=options.begin, until_wall_ns=options.until, has_all_revisions=options.all_revisions)
-        target = out if len(kinds) == 1 else out.with_name(f"{out.stem}.{kind.value}{out.suffix}")
         n_rows = write(target, COLUMNS[kind], read_rows(options.file, selection, tell=tell, left_out=hear))
         complain(f"{target}: {n_rows} rows")
     if left_out:

@@ -19,6 +19,8 @@ from gateway.commands.outcome import DONE, FAILED, complain
 
 _TIMEOUT_S: Final = 15.0
 _MAX_NODE: Final = EVERYBODY - 1
+_MAX_NAME: Final = 64
+"""Characters of an operator's name; who gives a stop is no reason to refuse it, so a longer one is cut."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,11 +49,13 @@ def stop(options: argparse.Namespace) -> int:
         timeout_s=_TIMEOUT_S,
         tls=way.tls,
         timing=way.zenoh,
+        on_gateway=gateways.add,
     ):
-        gateways.add(stage.gateway)
         print(json.dumps(msgspec.to_builtins(stage)) if is_json else line_of(stage), flush=True)
         if stage.is_final and stage.command_id in ends:
             ends[stage.command_id].append(stage)
+    if options.all:
+        complain(f"asked: {', '.join(sorted(gateways))}; who hangs or is cut off is not on the bus, and was not asked")
     problems = [problem for command_id, request in requests.items() if (problem := _why_unsure(request, ends[command_id], gateways))]
     complain(*problems)
     return FAILED if problems else DONE
@@ -69,8 +73,6 @@ def _requests(options: argparse.Namespace) -> list[StimulationRequest]:
     if bool(options.nodes) == options.all:
         problems.append("stop: give numbers of biobots, or --all, and not both; biobot-gateway stop --help tells more")
     problems += [f"stop: NODE is {node}, but a biobot's number is 0 to {_MAX_NODE}" for node in options.nodes if not 0 <= node <= _MAX_NODE]
-    if not 1 <= len(options.operator) <= 64:
-        problems.append(f"stop: --operator has {len(options.operator)} characters, but a name has 1 to 64")
     if problems:
         raise ConfigurationError(problems)
     action = StimulationAction.STOP_ALL if options.all else StimulationAction.STOP
@@ -79,7 +81,7 @@ def _requests(options: argparse.Namespace) -> list[StimulationRequest]:
             command_id=f"cli-{uuid.uuid4().hex}",
             node=NodeId(node),
             action=action,
-            operator=options.operator,
+            operator=options.operator[:_MAX_NAME] or "unknown",
             issued_wall_ns=Nanoseconds(time.time_ns()),
         )
         for node in (dict.fromkeys(options.nodes) or [EVERYBODY])

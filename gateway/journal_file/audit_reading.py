@@ -2,15 +2,17 @@
 
 import contextlib
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from firmware_protocol.units import NodeId
 from gateway.journal_file.audit_chain import COLUMNS, entry_of
+from gateway.journal_file.audit_table import read_head
 from gateway.journal_file.audit_verify import AuditFindings, verify_audit
 from gateway.journal_file.writes import AuditEntry
 
@@ -46,9 +48,10 @@ class AuditSelection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnreadableRow:
-    """A row that this program did not write so."""
+    """A row that this program did not write so, or some rows whose pages are damaged: from ``id`` to ``last``."""
 
     id: int
+    last: int
     reason: str
 
 
@@ -68,7 +71,11 @@ class Dose:
 
 
 def read_audit_rows(path: Path, selection: AuditSelection, *, after: int = 0) -> Iterator[AuditEntry | UnreadableRow]:
-    """Yield the rows that are wanted, from the one behind number ``after`` on, in order; raises ``sqlite3.Error``."""
+    """Yield the rows that are wanted, from the one behind number ``after`` on, in order; raises ``sqlite3.Error``.
+
+    Where pages of the file are damaged, rows are asked for one by one, so that those of whole pages are found; of the others nobody knows
+    whether they are wanted.
+    """
     wanted = {
         "node = ?": selection.node,
         "operator = ?": selection.operator,
@@ -77,16 +84,51 @@ def read_audit_rows(path: Path, selection: AuditSelection, *, after: int = 0) ->
         "wall_ns >= ?": selection.since_wall_ns,
     }
     asked = {condition: value for condition, value in wanted.items() if value is not None}
-    where = " AND ".join(("id > ?", *asked))
-    query = f"SELECT {COLUMNS}, chain FROM audit WHERE {where} ORDER BY id LIMIT {_A_PAGE}"  # noqa: S608  # parts of this file
+    where = "".join(f" AND {condition}" for condition in asked)
+    values = tuple(asked.values())
+    query = f"SELECT {COLUMNS}, chain FROM audit WHERE id > ?{where} ORDER BY id LIMIT {_A_PAGE}"  # noqa: S608  # parts of this file
     with contextlib.closing(_open(path)) as connection:
-        while page := connection.execute(query, (after, *asked.values())).fetchall():
-            after = page[-1][0]
-            for row in page:
-                try:
-                    yield entry_of(row)
-                except (msgspec.ValidationError, TypeError) as error:
-                    yield UnreadableRow(id=row[0], reason=str(error))
+        try:
+            while page := connection.execute(query, (after, *values)).fetchall():
+                after = page[-1][0]
+                yield from map(_read, page)
+        except sqlite3.DatabaseError as error:
+            if not _is_damage(error):
+                raise
+            yield from _read_one_by_one(connection, where, values, after=after)
+
+
+def _read_one_by_one(
+    connection: sqlite3.Connection, where: str, values: Sequence[object], *, after: int
+) -> Iterator[AuditEntry | UnreadableRow]:
+    query = f"SELECT {COLUMNS}, chain FROM audit WHERE id = ?{where}"  # noqa: S608  # parts of this file
+    first, reason, last = None, "", read_head(connection).n_rows
+    for number in range(after + 1, last + 1):
+        try:
+            row = connection.execute(query, (number, *values)).fetchone()
+        except sqlite3.DatabaseError as error:
+            if not _is_damage(error):
+                raise
+            first, reason = first or number, str(error)
+            continue
+        if first is not None:
+            yield UnreadableRow(id=first, last=number - 1, reason=reason)
+            first = None
+        if row is not None:
+            yield _read(row)
+    if first is not None:
+        yield UnreadableRow(id=first, last=last, reason=reason)
+
+
+def _read(row: Sequence[Any]) -> AuditEntry | UnreadableRow:
+    try:
+        return entry_of(row)
+    except (msgspec.ValidationError, TypeError) as error:
+        return UnreadableRow(id=row[0], last=row[0], reason=str(error))
+
+
+def _is_damage(error: sqlite3.DatabaseError) -> bool:
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_CORRUPT
 
 
 def read_audit_kinds(path: Path) -> list[str]:

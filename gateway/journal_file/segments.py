@@ -71,6 +71,10 @@ class SegmentBuilder:
         """The offset that the next record gets."""
         return self.first_offset + len(self.bodies)
 
+    def counts(self) -> dict[str, int]:
+        """Return how much of each kind it has."""
+        return {"records": len(self.bodies), "messages": len(self._reports), "audit_rows": len(self._audits)}
+
     def add(self, write: JournalWrite) -> None:
         """Take a write, and give its records their offsets.
 

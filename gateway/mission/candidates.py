@@ -14,6 +14,20 @@ USUAL_SHARE = (0.1, 0.2)
 """Of landmarks among all biobots: METHOD 9, from [Dir16] IV."""
 
 
+_NOT_HEARD, _NOT_TOLD = "not heard lately", "has not told lately whom it hears"
+_UNABLE, _UNWILLING, _FLAT = "cannot be stimulated", "did not stand as it was told", "battery is low"
+_HELD = "stands by another command"
+_NEXT_STEPS = {
+    _NOT_HEARD: "were not heard lately (look at them and at the radios)",
+    _NOT_TOLD: "have not told lately whom they hear (it comes by itself)",
+    _UNABLE: "cannot be stimulated (look at their backpacks)",
+    _UNWILLING: "did not stand as they were told (they are asked again half an hour after that)",
+    _FLAT: "have a low battery (change it)",
+    _HELD: "stand by another command (start them)",
+}
+"""Why somebody is left out, of several and with what would help."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidates:
     """The communication graph, and who of it may be picked."""
@@ -48,14 +62,14 @@ def find_candidates(
         if node.last_heard_ns and node.last_heard_ns >= now_ns - silent_ns:
             heard.append(node)
         else:
-            left_out.setdefault("not heard lately", []).append(node.node)
+            left_out.setdefault(_NOT_HEARD, []).append(node.node)
     told = [node for node in heard if node.neighbours is not None and node.neighbours_ns >= now_ns - stale_ns]
     members = told or heard
     if told:
         names = {node.node for node in told}
         for node in heard:
             if node.node not in names:
-                left_out.setdefault("has not told lately whom it hears", []).append(node.node)
+                left_out.setdefault(_NOT_TOLD, []).append(node.node)
     eligible: list[NodeId] = []
     for node in members:
         if why := _why_unfit(node, config=config, resting=resting, standing=standing):
@@ -86,6 +100,13 @@ def choose(candidates: Candidates, *, n_wanted: int, turn: int) -> LandmarkChoic
         clusters=tuple(LandmarkCluster(size=len(one.members), picks=tuple(map(NodeId, one.picks)), radius=one.radius) for one in clusters),
         awaited=tuple(NodeId(pick) for one in clusters for pick in one.picks),
     )
+
+
+def why_few(choice: LandmarkChoice) -> str:
+    """Say why fewer can be chosen than are wanted, and what would help."""
+    others = "; ".join(f"{len(who)} {_NEXT_STEPS[why]}" for why, who in sorted(choice.left_out.items()))
+    more = f"; of the others {others}" if others else "; there are no others: lower mission.n_landmarks, or add biobots"
+    return f"waits: {len(choice.candidates)} can be chosen, and {choice.n_wanted} landmarks are wanted{more}"
 
 
 def choose_next(
@@ -123,11 +144,11 @@ def _why_unfit(node: Node, *, config: MissionTable, resting: Collection[NodeId],
     """Return why a biobot may not be picked, or nothing."""
     status = node.status
     if node.is_introduced and not node.capabilities & Capability.STIMULATION:
-        return "cannot be stimulated"
+        return _UNABLE
     if node.node in resting:
-        return "did not stand as it was told"
+        return _UNWILLING
     if status is not None and status.battery_mv < config.min_battery_mv:
-        return "battery is low"
+        return _FLAT
     if node.node not in standing and status is not None and status.mode is WireMode.S and status.cause is WireCause.COMMAND:
-        return "stands by another command"
+        return _HELD
     return ""

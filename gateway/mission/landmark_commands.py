@@ -95,9 +95,12 @@ class LandmarkCommander:
             _log.warning("mission.landmark_failed", node=node, reason=outcome.reason)
         return outcome
 
-    async def start(self, node: NodeId, *, name: str) -> Outcome:
-        """Have a biobot walk, by a ``name`` that is for good: a start whose outcome is not known is not given again by a later process."""
-        outcome = await self._give(node, StimulationAction.START, name=name, pulse=None, is_wanted=self._may_command)
+    async def start(self, node: NodeId, *, name: str, is_wanted: Callable[[], bool]) -> Outcome:
+        """Have a biobot walk, by a ``name`` that is for good: a start whose outcome is not known is not given again by a later process.
+
+        ``is_wanted`` is asked before each attempt.
+        """
+        outcome = await self._give(node, StimulationAction.START, name=name, pulse=None, is_wanted=is_wanted)
         if outcome.was_kept:
             return outcome
         self._health.count("mission.released" if outcome.is_done else "mission.releases_failed")

@@ -4,7 +4,6 @@ import asyncio
 import time
 from collections.abc import Callable, Collection, Mapping
 from functools import partial
-from typing import Protocol
 
 from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.mission_orders import MissionAction, MissionAnswer, MissionOrder
@@ -16,11 +15,13 @@ from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
 from gateway.journal_file import Committed, JournalReader
 from gateway.log import EventLog
-from gateway.mission.candidates import USUAL_SHARE, Candidates, choice_facts, choose, choose_next, count_wanted, find_candidates
+from gateway.mission.candidates import USUAL_SHARE
+from gateway.mission.choosing import Chooser, Note
 from gateway.mission.chronicle import Chronicle
 from gateway.mission.landmark_commands import OPERATOR, Handle, LandmarkCommander
 from gateway.mission.orders import OrderMemory, answer_of, refusal_of
-from gateway.mission.planner import COMMANDING, MissionPlanner
+from gateway.mission.phases import COMMANDING
+from gateway.mission.planner import MissionPlanner
 from gateway.mission.states import restore_state
 from gateway.mission.steps import Choose, FollowWalls, LetGo, MakeLandmark, MissionState, MissionStep, Tell
 from gateway.mission.wall_walks import WallWalks
@@ -38,13 +39,6 @@ _ON_DISK_S = 2.0
 
 _RESTORED_ORDERS = 256
 _STARTS = {StimulationAction.START, StimulationAction.FOLLOW_WALLS}
-
-
-class Note(Protocol):
-    """Puts an entry into the audit log."""
-
-    def __call__(self, kind: str, *, facts: Mapping[str, object], operator: str = "", node: NodeId | None = None) -> None:
-        """Note what happened; never raises and never waits."""
 
 
 class Mission:
@@ -115,7 +109,9 @@ class Mission:
         """Since when landmarks' silence is judged: at a pause and before this process nobody listened."""
         self._waiting: list[MissionStep] = []
         self._ordered: list[tuple[MissionOrder, Callable[[MissionAnswer], None]]] = []
-        self._has_heard_choice = False
+        self._chooser = Chooser(config=config, nodes=nodes, planner=self._planner, note=note, on_event=on_event)
+        self._stopped: set[NodeId] = set()
+        """Whom others have stopped since this process began, and nobody has started since."""
         self._wake = asyncio.Event()
         self._resume(reader, now_ns=now_ns)
         if not config.n_landmarks and not USUAL_SHARE[0] <= config.landmark_share <= USUAL_SHARE[1]:
@@ -140,7 +136,7 @@ class Mission:
                 self._look(now_ns=now_ns)
                 known = self._known(now_ns=now_ns) if self._needs_to_know() else set()
                 is_graph_known = bool(known) and known <= self._nodes.adjacency().keys()
-                pick, followers = partial(self._pick, now_ns=now_ns), partial(self._walls.followers, now_ns=now_ns)
+                pick, followers = partial(self._chooser.pick, now_ns=now_ns), partial(self._walls.followers, now_ns=now_ns)
                 self._waiting += self._planner.tick(
                     now_ns=self._journal.ran_ns, n_known=len(known), is_graph_known=is_graph_known, pick=pick, followers=followers
                 )
@@ -163,7 +159,11 @@ class Mission:
         steps: list[MissionStep] = []
         if refusal is None:
             refusal, steps = self._planner.order(
-                order.action, operator=order.operator, order_id=order.order_id, now_ns=self._journal.ran_ns
+                order.action,
+                operator=order.operator,
+                order_id=order.order_id,
+                now_ns=self._journal.ran_ns,
+                standing=self._standing() if order.action is MissionAction.START else (),
             )
         answer = answer_of(
             order,
@@ -192,6 +192,7 @@ class Mission:
         if stage.stage is not Stage.ACCEPTED:
             return
         now_ns = self._journal.ran_ns
+        self._note_stops(request, is_part=bool(stage.part_of))
         if request.action is StimulationAction.STOP_ALL:
             walking = [node.node for node in self._nodes.all() if node.mode is None or node.mode.mode is Mode.CRW]
             self._proceed(self._planner.stop_all(operator=request.operator, walking=walking, now_ns=now_ns))
@@ -199,6 +200,24 @@ class Mission:
             self._lose(request.node, reason=f"{request.operator} let it walk", is_let_go=False)
         if request.operator != OPERATOR and request.node in self.state.following:
             self._proceed(self._planner.leave_walls(request.node))
+
+    def _note_stops(self, request: StimulationRequest, *, is_part: bool) -> None:
+        """Remember who was stopped by others, for what a backpack reports of itself comes later; whom they stop is let go no more.
+
+        ``is_part``: of a stop of all, which is not undone but by the order to resume.
+        """
+        if request.action is StimulationAction.STOP_ALL:
+            self._stopped |= {node.node for node in self._nodes.all()}
+        elif request.action is StimulationAction.STOP and request.operator != OPERATOR:
+            self._stopped.add(request.node)
+            if not is_part:
+                self._planner.released(request.node)
+        elif request.action is not StimulationAction.STOP:
+            self._stopped.discard(request.node)
+
+    def _standing(self) -> set[NodeId]:
+        """Return who stands by a stop, as far as is known from reports of any process and from commands of this one."""
+        return self._stopped | {node.node for node in self._nodes.all() if node.mode is not None and stands_by_command(node.mode)}
 
     def take_records(self, committed: Committed) -> None:
         """Judge the landmarks by what has come to lie on disk."""
@@ -280,36 +299,7 @@ class Mission:
                     tasks.create_task(self._let_go(node, on_disk=self._chronicle.on_disk, decided_ns=decided_ns))
 
     async def _choose(self, turn: int) -> None:
-        """Choose in a thread: of thousands of biobots it takes a while, and radios do not wait."""
-        now_ns = time.monotonic_ns()
-        candidates = self._candidates(now_ns=now_ns, excluded=self._planner.resting.keys())
-        n_wanted = count_wanted(self._config, n_known=max(candidates.n_heard, 1))
-        choice = await asyncio.to_thread(choose, candidates, n_wanted=n_wanted, turn=turn)
-        if not choice.awaited:
-            if not self._has_heard_choice:
-                _log.warning("mission.no_candidates", **{why.replace(" ", "_"): len(who) for why, who in choice.left_out.items()})
-                self._on_event("warning", "mission.no_candidates", {why: str(len(who)) for why, who in choice.left_out.items()})
-            self._has_heard_choice = True
-        else:
-            self._has_heard_choice = False
-            share = n_wanted / max(candidates.n_heard, 1)
-            if not USUAL_SHARE[0] <= share <= USUAL_SHARE[1] and candidates.n_heard >= 1 / USUAL_SHARE[0]:
-                _log.warning("mission.share", wanted=n_wanted, biobots=candidates.n_heard, advice="the method takes 0.1 to 0.2 of them")
-            self._note("landmark.choice", facts=choice_facts(choice))
-            _log.info("mission.choice", wanted=n_wanted, candidates=len(choice.candidates), clusters=len(choice.clusters))
-        self._proceed(self._planner.take_choice(choice, now_ns=self._journal.ran_ns))
-
-    def _candidates(self, *, now_ns: int, excluded: Collection[NodeId]) -> Candidates:
-        standing = self.state.landmarks | self.state.awaited
-        return find_candidates(self._nodes.all(), config=self._config, now_ns=now_ns, resting=excluded, standing=standing)
-
-    def _pick(self, standing: Collection[NodeId], excluded: Collection[NodeId], near: NodeId | None, *, now_ns: int) -> NodeId | None:
-        candidates = self._candidates(now_ns=now_ns, excluded=excluded)
-        node = choose_next(candidates, standing=standing, excluded=excluded, near=near)
-        if node is not None:
-            self._note("landmark.replacement", facts={"replaces": near, "candidates": len(candidates.eligible)}, node=node)
-            self._on_event("info", "mission.replacement", {"node": str(node), "replaces": "" if near is None else str(near)})
-        return node
+        self._proceed(self._planner.take_choice(await self._chooser.choose(turn), now_ns=self._journal.ran_ns))
 
     async def _make_landmark(self, node: NodeId, *, on_disk: "asyncio.Future[None] | None", is_again: bool) -> None:
         await _wait_for(on_disk)
@@ -324,7 +314,8 @@ class Mission:
 
     async def _let_go(self, node: NodeId, *, on_disk: "asyncio.Future[None] | None", decided_ns: int) -> None:
         await _wait_for(on_disk)
-        outcome = await self._commander.start(node, name=f"mission-start-{node}-{decided_ns}")
+        name = f"mission-start-{node}-{decided_ns}"
+        outcome = await self._commander.start(node, name=name, is_wanted=lambda: self._may_command() and node in self.state.releasing)
         if outcome.was_kept:
             return
         self._note("landmark.let_go", facts={"walks": outcome.is_done, "reason": outcome.reason}, node=node)
@@ -377,13 +368,19 @@ class Mission:
     def _tell(self, step: Tell) -> None:
         state = step.state
         if step.is_revision:
-            if self._chronicle.revise(state):  # a wall phase has begun or is over
+            if not self._chronicle.revise(state):
+                return
+            if state.phase is MissionPhase.LANDMARK_SELECTION:
+                self._note("mission.waits", facts={"reason": state.reason})
+                _log.warning("mission.waits", reason=state.reason)
+            else:  # a wall phase has begun or is over
                 self._note(
                     "mission.walls", facts={"number": state.wall_phase, "following": sorted(state.following), "reason": state.reason}
                 )
                 _log.info("mission.walls", number=state.wall_phase, following=len(state.following), reason=state.reason)
             return
         self._chronicle.begin(state)
+        self._chooser.begin_phase()
         facts = {"phase": state.phase.value, "round": state.round, "landmarks": sorted(state.landmarks), "reason": state.reason}
         self._note("mission.phase", facts=facts, operator=state.operator)
         _log.info("mission.phase", phase=state.phase.value, landmarks=len(state.landmarks), round=state.round, reason=state.reason)

@@ -10,6 +10,8 @@ from firmware_protocol.contract.mission_orders import MissionAction
 from firmware_protocol.contract.records import LandmarkChange, LandmarkChoice, MissionPhase
 from firmware_protocol.units import NS_PER_S, Nanoseconds, NodeId
 from gateway.config import MissionTable
+from gateway.mission.candidates import why_few
+from gateway.mission.phases import COMMANDING, POSSIBLE, name_of
 from gateway.mission.steps import Choose, FollowWalls, LetGo, MakeLandmark, MissionState, MissionStep, Picker, Tell
 from gateway.mission.wall_phases import WallPhases
 
@@ -24,18 +26,6 @@ REST_NS = 1_800 * NS_PER_S
 """Who wandered or did not obey is not chosen again for so long."""
 
 _P, _A = MissionPhase, MissionAction
-POSSIBLE: dict[MissionPhase, tuple[MissionAction, ...]] = {
-    _P.IDLE: (_A.START,),
-    _P.DISPERSION: (_A.PAUSE, _A.SELECT, _A.FINISH),
-    _P.LANDMARK_SELECTION: (_A.PAUSE, _A.REDISPERSE, _A.FINISH),
-    _P.EXPLORATION: (_A.PAUSE, _A.REDISPERSE, _A.FINISH),
-    _P.PAUSED: (_A.RESUME, _A.FINISH),
-    _P.DONE: (_A.START,),
-}
-"""Orders that are taken in each phase."""
-
-COMMANDING = {_P.DISPERSION, _P.LANDMARK_SELECTION, _P.EXPLORATION}
-"""Phases in which the mission commands biobots."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -43,7 +33,8 @@ class MissionPlanner:
     """The state and the events that change it; ``now_ns`` is the journal's running time throughout.
 
     A landmark stands when its biobot answers the stop, or reports that it stands by then; where it does neither, the next best takes
-    its place. Exploration begins when nobody is awaited any more. A mission that is paused commands nobody, and its time stands still.
+    its place. Exploration begins when as many stand as are wanted; until then the state's reason says what is waited for. A mission that is
+    paused commands nobody, and its time stands still.
     """
 
     config: MissionTable
@@ -115,17 +106,22 @@ class MissionPlanner:
             case _:
                 return self._revision()
 
-    def order(self, action: MissionAction, *, operator: str, order_id: str, now_ns: int) -> tuple[str | None, list[MissionStep]]:
-        """Take an order; return why it is refused, or None, and what is to be done."""
+    def order(
+        self, action: MissionAction, *, operator: str, order_id: str, now_ns: int, standing: Collection[NodeId] = ()
+    ) -> tuple[str | None, list[MissionStep]]:
+        """Take an order; return why it is refused, or None, and what is to be done.
+
+        ``standing``: who stands by somebody's stop. Whoever orders a start wants all to walk, so they are let go.
+        """
         state = self.state
         if action not in self.possible():
             can = ", ".join(one.value for one in self.possible())
-            return f"the mission is {_name(state)}, where {action.value!r} is not possible; possible is: {can}", []
+            return f"the mission is {name_of(state)}, where {action.value!r} is not possible; possible is: {can}", []
         named: dict[str, Any] = {"operator": operator, "order_id": order_id}
         reason = f"ordered by {operator}"
         match action:
             case MissionAction.START:
-                return None, self._disperse(now_ns=now_ns, reason=reason, **named)
+                return None, self._disperse(now_ns=now_ns, reason=reason, standing=standing, **named)
             case MissionAction.PAUSE:
                 return None, self._pause(now_ns=now_ns, reason=reason, **named)
             case MissionAction.RESUME:
@@ -133,6 +129,8 @@ class MissionPlanner:
             case MissionAction.SELECT:
                 return None, self._begin_selection(now_ns=now_ns, reason=reason, **named)
             case MissionAction.REDISPERSE:
+                for node in () if state.choice is None else state.choice.failed:
+                    self.resting.pop(node, None)  # whoever orders it has looked at them
                 return None, self._disperse(now_ns=now_ns, reason=reason, **named)
             case MissionAction.FINISH:
                 return None, self._enter(_P.DONE, now_ns=now_ns, reason=reason, releasing={}, **named)
@@ -159,13 +157,13 @@ class MissionPlanner:
         return self._pause(now_ns=now_ns, reason=f"{operator} stopped all", operator=operator, releasing=halted)
 
     def take_choice(self, choice: LandmarkChoice, *, now_ns: int) -> list[MissionStep]:
-        """Take what ``Choose`` asked for; where nobody can be chosen it is asked for again after a while."""
+        """Take what ``Choose`` asked for; where fewer can be chosen than are wanted it is asked for again after a while."""
         if not self._is_choosing:
             return []
         self._is_choosing = False
-        if not choice.awaited:
+        if len(choice.awaited) < choice.n_wanted:
             self._next_try_ns = now_ns + _TRY_AGAIN_NS
-            return []
+            return self._explain(why_few(choice))
         self._change(choice=choice)
         return [*self._revision(), *(MakeLandmark(node=node) for node in choice.awaited)]
 
@@ -255,19 +253,24 @@ class MissionPlanner:
         if state.choice is None:
             waited_ns = min(state.elapsed_ns(now_ns), now_ns - self._waits_from_ns)
             is_ready = is_graph_known or waited_ns >= self.config.selection_timeout_s * NS_PER_S
-            if not n_known or not is_ready or self._is_choosing or now_ns < self._next_try_ns:
+            if not n_known:
+                return self._explain("waits until a biobot is heard; look at the radios and at the backpacks")
+            if not is_ready:
+                text = f"waits until all have told whom they hear, {self.config.selection_timeout_s:g} s at most"
+                return self._explain(text) if waited_ns >= _TRY_AGAIN_NS else []
+            if self._is_choosing or now_ns < self._next_try_ns:
                 return []
             self._is_choosing = True
             return [Choose(turn=max(0, state.round - 1))]
         steps = self._fill(now_ns=now_ns, is_graph_known=is_graph_known, pick=pick)
         if self.state.awaited:
             return steps or self._revision()
-        n_missing = state.choice.n_wanted - len(state.landmarks)
-        if n_missing > 0 and not is_graph_known and self._may_replace(state.choice) and not self._has_waited(now_ns):
-            return self._revision()
         reason = f"{len(state.landmarks)} landmarks stand"
         if state.choice.failed:
             reason += f"; not reached: {', '.join(str(node) for node in sorted(state.choice.failed))}"
+        if len(state.landmarks) < state.choice.n_wanted:
+            wait = "waits for another candidate" if self._may_replace(state.choice) else "so many failed that none is asked any more"
+            return self._explain(f"{reason}; {state.choice.n_wanted} are wanted: {wait}; look at them, then order redisperse, or finish")
         return self._enter(_P.EXPLORATION, now_ns=now_ns, reason=reason)
 
     def _explore(self, *, now_ns: int, is_graph_known: bool, pick: Picker) -> list[MissionStep]:
@@ -310,7 +313,7 @@ class MissionPlanner:
         self._is_choosing, self._next_try_ns = False, 0
         return self._enter(_P.LANDMARK_SELECTION, now_ns=now_ns, reason=reason, choice=None, **named)
 
-    def _disperse(self, *, now_ns: int, reason: str, **named: Any) -> list[MissionStep]:
+    def _disperse(self, *, now_ns: int, reason: str, standing: Collection[NodeId] = (), **named: Any) -> list[MissionStep]:
         """Let those that stand go, and have all walk; a mission that was done begins anew."""
         state = self.state
         is_anew = state.phase in {_P.IDLE, _P.DONE}
@@ -325,7 +328,7 @@ class MissionPlanner:
             round=1 if is_anew else state.round + 1,
             explored_ns=0 if is_anew else state.explored_ns + ran_ns,
             landmarks=frozenset(),
-            releasing={**dict.fromkeys(state.landmarks | state.awaited, now_ns), **state.releasing},
+            releasing={**dict.fromkeys(state.landmarks | state.awaited | frozenset(standing), now_ns), **state.releasing},
             choice=None,
             changes=() if is_anew else state.changes,
             **named,
@@ -383,13 +386,15 @@ class MissionPlanner:
         self.state = replace(self.state, **changed)
         self._is_changed = True
 
+    def _explain(self, reason: str) -> list[MissionStep]:
+        """Write down, once, what the phase waits for."""
+        if self.state.reason != reason:
+            self._change(reason=reason)
+        return self._revision()
+
     def _revision(self) -> list[MissionStep]:
         """Return the writing down of what has changed since it last was."""
         if not self._is_changed:
             return []
         self._is_changed = False
         return [Tell(state=self.state, is_revision=True)]
-
-
-def _name(state: MissionState) -> str:
-    return f"paused in {state.interrupted.value}" if state.interrupted else state.phase.value

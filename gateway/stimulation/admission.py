@@ -72,7 +72,8 @@ def admit(request: StimulationRequest, *, table: StimulationTable, ledger: Train
 
 def unknown_biobot(request: StimulationRequest) -> Refused:
     """Return the refusal of a command to a biobot that this gateway has never heard."""
-    why = "it was never heard by this gateway" if request.node < EVERYBODY else f"the largest number of a biobot is {EVERYBODY - 1}"
+    heard = "it was never heard by this gateway; see that it is on and near, or ask the gateway that hears it"
+    why = heard if request.node < EVERYBODY else f"the largest number of a biobot is {EVERYBODY - 1}"
     return Refused(refusal=Refusal.UNKNOWN_BIOBOT, reason=f"biobot {request.node} is not known here: {why}")
 
 
@@ -104,7 +105,9 @@ def remaining_ms(request: StimulationRequest, *, now_wall_ns: int) -> int:
 
 def _why_unfit(node: Node) -> Refused | None:
     if node.is_introduced and not node.capabilities & Capability.STIMULATION:
-        return Refused(refusal=Refusal.UNFIT_BIOBOT, reason=f"biobot {node.node} cannot be stimulated: its backpack says so")
+        return Refused(
+            refusal=Refusal.UNFIT_BIOBOT, reason=f"biobot {node.node} cannot be stimulated: its backpack says so; take another one"
+        )
     if not node.last_heard_ns:
         reason = (
             f"biobot {node.node} was not heard since the gateway started, and another may have its address by now; it is being asked: "

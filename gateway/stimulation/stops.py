@@ -29,6 +29,8 @@ from gateway.stimulation.telling import TAKEN_BACK, StageTeller
 MAX_STOPS_OF_ONE = 8
 """Stops of one biobot that are under way; another one ends the oldest of them, whose place it takes."""
 
+_BARE = "it is stopped without a train: "
+
 
 class Stops:
     """Runs stops, and keeps others' frames back."""
@@ -67,16 +69,17 @@ class Stops:
         """Take a stop to its last stage."""
         retry_ns = int(self._table.stop_retry_s * NS_PER_S)
         end_ns = self._now_ns() + self._table.stop_attempts * retry_ns
-        reason = ""
+        reason = why_bare = ""
         try:
             for attempt in range(self._table.stop_attempts):
                 n_before = len(command.sendings)
                 if attempt == 0:
                     self.overtake(command)  # before it is sent: a port that takes it may take the next frame too
-                reason = self._send(command, self._fit_pulse(command) if n_before == 0 else None)
+                pulse, why_bare = (None, why_bare) if n_before else self._fit_pulse(command)
+                reason = self._send(command, pulse)
                 if attempt == 0:
                     self._make_room(command)
-                self._tell_sent(command, n_before=n_before, end_ns=end_ns)
+                self._tell_sent(command, n_before=n_before, end_ns=end_ns, why_bare=why_bare)
                 # From now, not from the begin: where this process was held up, each repetition has its time all the same.
                 if await self._await_answer(command, until_ns=self._now_ns() + retry_ns, end_ns=end_ns):
                     return
@@ -121,14 +124,14 @@ class Stops:
         command.sendings += self._sender.send_elsewhere(node, bare)
         return reason
 
-    def _tell_sent(self, command: Command, *, n_before: int, end_ns: int) -> None:
-        """Put on record what was sent just now; the frame with the train, if there is one, was the first of all."""
+    def _tell_sent(self, command: Command, *, n_before: int, end_ns: int, why_bare: str) -> None:
+        """Put on record what was sent just now; the frame with the train, if there is one, was the first of all; else why it had none."""
         train_ms = 0 if command.train is None or n_before else command.train.duration_ms
         n_again, written = len(command.sendings) - n_before, None
         if command.stages:
             self._health.count("command.stop_repeated")
         else:
-            written = self._teller.tell(command, Stage.ACCEPTED, train_ms=train_ms, deadline_ns=end_ns)
+            written = self._teller.tell(command, Stage.ACCEPTED, train_ms=train_ms, deadline_ns=end_ns, reason=why_bare)
             n_again -= 1
         for place in range(n_again):
             noted = self._teller.note(command, SENT_AGAIN, train_ms=0 if written or place else train_ms)
@@ -136,16 +139,18 @@ class Stops:
         if train_ms:
             self._unwritten[command.request.node] = written or asyncio.get_running_loop().create_future()
 
-    def _fit_pulse(self, command: Command) -> Pulse | None:
-        """Return the train that a stop may give now, or None."""
+    def _fit_pulse(self, command: Command) -> tuple[Pulse | None, str]:
+        """Return the train that a stop may give now; or None, and why where one was to be."""
         node = self._nodes.find(command.request.node)
         pulse = pulse_of(command.request.pulse, self._table)
-        if node is None or pulse.duration_ms == 0 or not self.may_give_train(node.node):
-            return None
-        if pulse_refusal(pulse, table=self._table, limits=node.limits) is not None:
-            return None
-        refused = self._ledger.refusal(node.node, train_ms=pulse.duration_ms, now_ns=self._now_ns(), announced=node.limits)
-        return pulse if refused is None else None
+        if node is None or pulse.duration_ms == 0:
+            return None, ""
+        if not self.may_give_train(node.node):
+            return None, f"{_BARE}an earlier stop's train is not on disk yet, or the gateway ends"
+        refused = pulse_refusal(pulse, table=self._table, limits=node.limits) or self._ledger.refusal(
+            node.node, train_ms=pulse.duration_ms, now_ns=self._now_ns(), announced=node.limits
+        )
+        return (pulse, "") if refused is None else (None, f"{_BARE}{refused.reason}")
 
     async def _await_answer(self, command: Command, *, until_ns: int, end_ns: int) -> bool:
         """Wait for radios and biobot until an instant; True where the last stage is told."""

@@ -46,7 +46,7 @@ def add_alert_routes(router: APIRouter, services: Services) -> None:
     @router.get("/api/v1/alerts", tags=["watch"], responses=describe_answers(AlertList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
     async def get_alerts(
         state: Annotated[Literal["on", "all"], Query(description="on: those that hold now; all: those that are over, too")] = "all",
-        limit: Annotated[int, Query(ge=1, le=MAX_ALERTS)] = 200,
+        limit: Annotated[int, Query(ge=1, le=MAX_ALERTS, description="Alerts, at most")] = 200,
     ) -> Response:
         """List alerts, the newest first; they outlive a restart."""
         alerts = services.alerts.alerts
@@ -59,7 +59,9 @@ def add_alert_routes(router: APIRouter, services: Services) -> None:
         tags=["watch"],
         responses=describe_answers(AlertItem, (HTTPStatus.FORBIDDEN, HTTPStatus.NOT_FOUND, HTTPStatus.UNPROCESSABLE_ENTITY)),
     )
-    async def post_acknowledgement(request: Request, alert_id: Annotated[int, Path(ge=1, le=_MAX_ID)]) -> Response:
+    async def post_acknowledgement(
+        request: Request, alert_id: Annotated[int, Path(ge=1, le=_MAX_ID, description="The id that the list has")]
+    ) -> Response:
         """Say that you have seen an alert; who was first stays. It goes off when it does not hold any more, not by this."""
         return json_response(view_alert(await services.alerts.acknowledge(alert_id, person=person_of(request).name)))
 

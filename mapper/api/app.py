@@ -5,7 +5,7 @@ from importlib import resources
 from importlib.metadata import version
 from typing import Final
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Response
 from fastapi.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 
@@ -32,12 +32,14 @@ _TAGS: Final = [
     {"name": "map", "description": "The newest finished map and its numbers"},
     {"name": "pictures", "description": "The same as SVG, PNG and GeoJSON"},
     {"name": "places", "description": "Routes, distances, and the operator's pins"},
+    {"name": "past", "description": "Maps of the past and how they differ, alerts, sites, recordings, the report"},
     {"name": "jobs", "description": "Maps of other times and methods, computed beside the live one"},
     {"name": "records", "description": "Encounters as the gateways recorded them"},
     {"name": "biobots", "description": "Biobots and gateways"},
     {"name": "commands", "description": "Commands and stops"},
     {"name": "mission", "description": "The mission and orders to it"},
     {"name": "access", "description": "Who one is here, and who has tokens"},
+    {"name": "access", "description": "Who asks, and (for admins) who has tokens"},
     {"name": "watch", "description": "Changes, health, readiness"},
 ]
 
@@ -58,7 +60,11 @@ def create_unguarded_app(services: Services, *, stream: EventStream) -> FastAPI:
         description=_ABOUT,
         docs_url=None,
         redoc_url=None,
+        # What the document does not have is not there, nor is it by another spelling.
+        redirect_slashes=False,
         openapi_tags=_TAGS,
+        # Endpoints say themselves what they answer with; by default the document would say JSON besides.
+        default_response_class=Response,
         servers=[{"url": "/", "description": "This mapper"}],
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
         # A generated client calls its functions by these names: they stay.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine
 from http import HTTPStatus
 from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.routing import APIRoute
 
 from firmware_protocol.contract.commands import PulseRequest, Refusal, StimulationAction, WaveformName
@@ -164,7 +164,7 @@ def _add_commands(router: APIRouter, services: Services) -> None:
 
     @router.get("/api/v1/commands", tags=["commands"], responses=describe_answers(CommandList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
     async def get_commands(
-        limit: Annotated[int, Query(ge=1, le=1000)] = 50,
+        limit: Annotated[int, Query(ge=1, le=1000, description="Commands, at most")] = 50,
         part_of: Annotated[CommandId | None, Query(description="The parts of this stop of all, in place of all else")] = None,
     ) -> Response:
         """List the newest commands of the site since the start: those given here, and those that gateways tell of."""
@@ -177,7 +177,7 @@ def _add_commands(router: APIRouter, services: Services) -> None:
         responses=describe_answers(CommandView, (HTTPStatus.NOT_FOUND, HTTPStatus.UNPROCESSABLE_ENTITY)),
     )
     async def get_command(
-        command_id: CommandId,
+        command_id: Annotated[CommandId, Path(description="The id that the command was given under", examples=["left-1"])],
         wait_s: Annotated[float, Query(ge=0, le=MAX_WAIT_S, description="Wait so long for its end, or for a stage that is new")] = 0.0,
         seen: Annotated[int | None, Query(ge=0, description="Stages that the client has: one more is new; none: wait for the end")] = None,
     ) -> Response:
@@ -201,7 +201,7 @@ def _add_accounts(router: APIRouter, services: Services) -> None:
         tags=["biobots"],
         responses=describe_answers(AccountList, (HTTPStatus.NOT_FOUND, HTTPStatus.UNPROCESSABLE_ENTITY)),
     )
-    async def get_accounts_of(biobot: NodeText) -> Response:
+    async def get_accounts_of(biobot: Annotated[NodeText, Path(description="Id of the biobot", examples=["17"])]) -> Response:
         """Say how one biobot was stimulated, by gateway; no account: not since any gateway told of it."""
         node = NodeId(int(biobot))
         accounts = services.accounts.of(node)

@@ -7,6 +7,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, 
 from mapper.api.schemas import AnswerModel, DataItem, HoleCountItem, HoleItem, Place, RoutePlace
 
 MAX_PIN_NAME = 64
+_MAX_M = 1e8
+"""Beyond any projection of the Earth: squares of such lengths are still exact enough."""
+Metres = Annotated[FiniteFloat, Field(ge=-_MAX_M, le=_MAX_M)]
 
 
 def _check_name(name: str) -> str:
@@ -208,8 +211,8 @@ class PinBody(BaseModel):
     )
 
     place: str = Field(max_length=100, description="landmark:ID, landmark:ID@T, biobot:ID@T, point:INDEX, or xy:X,Y[,COMPONENT]")
-    x: FiniteFloat | None = Field(default=None, description="Where it is in the operator's frame [m], with y; null: it is only named")
-    y: FiniteFloat | None = None
+    x: Metres | None = Field(default=None, description="Where it is in the operator's frame [m], with y; null: it is only named")
+    y: Metres | None = Field(default=None, description="As x")
 
     @model_validator(mode="after")
     def _check_pair(self) -> "PinBody":

@@ -18,11 +18,38 @@ _SUMMARIES: Final = {
     HTTPStatus.TOO_MANY_REQUESTS: "Too much at the same time, or too often: try again after Retry-After",
     HTTPStatus.SERVICE_UNAVAILABLE: "Not now: try again after Retry-After",
     HTTPStatus.INTERNAL_SERVER_ERROR: "A computation failed",
+    HTTPStatus.NOT_IMPLEMENTED: "A library that this needs is not installed here",
     HTTPStatus.BAD_REQUEST: "The body is no JSON, or a token stands in the URL",
 }
 _FRESHNESS_HEADERS: Final = {
     "Map-Behind": {"description": "No record that is missing in the map came earlier than this [s] ago", "schema": {"type": "number"}},
     "Map-Waiting": {"description": "Records that have come since the map was begun", "schema": {"type": "integer"}},
+}
+
+_LOCATION: Final = {"Location": {"description": "Where it is", "schema": {"type": "string"}}}
+_FEATURE_COLLECTION: Final[dict[str, Any]] = {
+    "type": "object",
+    "title": "FeatureCollection",
+    "description": "GeoJSON (RFC 7946), but that `coordinate_frame` says what coordinates mean",
+    "required": ["type", "coordinate_frame", "features"],
+    "properties": {
+        "type": {"type": "string", "enum": ["FeatureCollection"]},
+        "coordinate_frame": {"type": "object", "description": "`kind`, `unit`, and how the map was brought there"},
+        "features": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "title": "Feature",
+                "required": ["type", "id", "geometry", "properties"],
+                "properties": {
+                    "id": {"type": "string"},
+                    "type": {"type": "string", "enum": ["Feature"]},
+                    "geometry": {"type": ["object", "null"], "description": "`type` and `coordinates`; null where there is no place"},
+                    "properties": {"type": "object", "description": "`kind` is component, hole, landmark, pin or point"},
+                },
+            },
+        },
+    },
 }
 
 _ETAG: Final = {"ETag": {"description": "Names this version: send it as If-None-Match", "schema": {"type": "string"}}}
@@ -43,6 +70,7 @@ def describe_answers(
     is_versioned: bool = False,
     has_freshness: bool = True,
     made: str | None = None,
+    accepted: tuple[type, str] | None = None,
     under_way: str | None = None,
     examples: Mapping[HTTPStatus, object] | None = None,
 ) -> dict[int | str, dict[str, Any]]:
@@ -54,6 +82,8 @@ def describe_answers(
         It has an ETag; and headers that say how far the map is behind.
     made
         What 201 means; None: it is not answered.
+    accepted
+        What 202 has and means where it is all that is answered.
     under_way
         What 202 means; None: it is not answered.
     examples
@@ -63,13 +93,17 @@ def describe_answers(
     if isinstance(content, str):
         kind = {"type": "string"} if content.startswith("text/") else {"type": "string", "format": "binary"}
         if content.endswith("json"):
-            kind = {"type": "object"}
+            kind = _FEATURE_COLLECTION
         elif content == "image/svg+xml":
             kind = {"type": "string"}
         fine["content"] = {content: {"schema": kind}}
     elif content is not None:
         fine["model"] = content
-    answers: dict[int | str, dict[str, Any]] = {204: {"description": "Done"}} if content is None else {200: fine}
+    answers: dict[int | str, dict[str, Any]] = {200: fine}
+    if content is None:
+        answers = {204: {"description": "Done"}}
+    if accepted is not None:
+        answers = {202: {"model": accepted[0], "description": accepted[1], "headers": _LOCATION}}
     if under_way is not None:
         answers[202] = {"model": content, "description": under_way}
     if made is not None:

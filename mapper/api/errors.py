@@ -13,29 +13,33 @@ from starlette.exceptions import HTTPException
 from mapper.access import LastAdminError, NoTokenError, RateLimitError, RoleError, TokenFileError, TokenNameError, TokenNotFoundError
 from mapper.api.command_schemas import STOP_PATH
 from mapper.errors import (
-    AlertNotFoundError,
     BiobotNotFoundError,
     CommandNotFoundError,
     CommandRefusedError,
+    EngineMissingError,
     GatewayAwayError,
-    HoleNotFoundError,
     JobError,
-    LengthsNotKeptError,
     MapError,
-    MapNotFoundError,
     NoMapYetError,
-    NoResultError,
     OrderRefusedError,
-    OtherVersionError,
-    PinNotFoundError,
-    PinRefusedError,
     PlaceError,
     RouteError,
     StopUnansweredError,
     StoreError,
-    TaskNotFoundError,
     TooManyError,
     WorkerDiedError,
+)
+from mapper.request_errors import (
+    AlertNotFoundError,
+    HoleNotFoundError,
+    LengthsNotKeptError,
+    MapNotFoundError,
+    NoResultError,
+    OtherVersionError,
+    PeriodError,
+    PinNotFoundError,
+    PinRefusedError,
+    TaskNotFoundError,
 )
 
 PROBLEM_TYPE: Final = "application/problem+json"
@@ -58,6 +62,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     PinRefusedError: HTTPStatus.CONFLICT,
     NoResultError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
+    PeriodError: HTTPStatus.UNPROCESSABLE_ENTITY,
     OtherVersionError: HTTPStatus.CONFLICT,
     MapNotFoundError: HTTPStatus.NOT_FOUND,
     PlaceError: HTTPStatus.UNPROCESSABLE_ENTITY,
@@ -70,6 +75,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     WorkerDiedError: HTTPStatus.SERVICE_UNAVAILABLE,
     StoreError: HTTPStatus.SERVICE_UNAVAILABLE,
     JobError: HTTPStatus.INTERNAL_SERVER_ERROR,
+    EngineMissingError: HTTPStatus.NOT_IMPLEMENTED,
 }
 
 _RETRY_AFTER_S: Final[Mapping[type[MapError], int]] = {

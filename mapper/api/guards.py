@@ -29,7 +29,8 @@ STRICT_TRANSPORT: Final = {"Strict-Transport-Security": "max-age=31536000"}
 """Sent over TLS alone: a browser that has read it does not come back by http for a year."""
 
 _SAFE_METHODS: Final = {"GET", "HEAD", "OPTIONS"}
-_NO_HEAD: Final = {"/api/v1/events"}  # an endless answer has no length to tell
+_NO_HEAD: Final = {"/api/v1/events", "/api/v1/encounters.csv", "/api/v1/encounters.parquet"}
+"""What is written as it is sent has no length to tell."""
 
 
 class Guard:
@@ -109,15 +110,19 @@ class _Body:
         return message
 
     def answer_too_large(self, send: Send, scope: Scope) -> Send:
-        has_answered = False
+        has_begun = is_answered = False
 
         async def checked_send(message: Message) -> None:
-            nonlocal has_answered
-            if not self.is_too_large:
-                await send(message)
-            elif not has_answered:
-                has_answered = True
+            nonlocal has_begun, is_answered
+            if is_answered:
+                return
+            # An answer that has begun needs no more of the body: what is streamed only listens for the client's leave.
+            if self.is_too_large and not has_begun:
+                is_answered = True
                 await problem(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, detail=_too_large())(scope, self._receive, send)
+                return
+            has_begun = True
+            await send(message)
 
         return checked_send
 

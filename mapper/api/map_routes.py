@@ -13,9 +13,9 @@ from mapper.api.quick_answers import Answer, served
 from mapper.api.schemas import MapStatusView, MapView
 from mapper.api.services import Services
 from mapper.api.views import JSON_TYPE, json_response, view_map_status
-from mapper.errors import LengthsNotKeptError, OtherVersionError
 from mapper.map_extracts import extract_betti, extract_hole, extract_holes
 from mapper.map_snapshot import MapSnapshot
+from mapper.request_errors import LengthsNotKeptError, OtherVersionError
 from mapper.served_bytes import ServedBytes
 
 MAP_PATH: Final = "/api/v1/map"

@@ -27,7 +27,7 @@ def add_past_routes(router: APIRouter, services: Services) -> None:
     @router.get("/api/v1/maps", tags=["past"], responses=describe_answers(PastMapList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
     async def get_maps(
         after: Annotated[int, Query(ge=0, le=_MAX_VERSION, description="Only maps of higher versions")] = 0,
-        limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
+        limit: Annotated[int, Query(ge=1, le=10_000, description="Maps, at most")] = 1000,
     ) -> Response:
         """List the maps that are kept, the newest last: all of the last minutes, fewer of the time before."""
         found, has_more = services.history.page(after=after, limit=limit)

@@ -15,6 +15,8 @@ from mapper.api.alert_routes import add_alert_routes
 from mapper.api.command_routes import add_command_routes, add_mission_routes
 from mapper.api.descriptions import describe_answers
 from mapper.api.event_stream import EventStream
+from mapper.api.export_routes import add_export_routes
+from mapper.api.job_routes import add_job_routes
 from mapper.api.map_routes import add_map_routes
 from mapper.api.past_routes import add_past_routes
 from mapper.api.picture_routes import add_picture_routes
@@ -49,6 +51,8 @@ def make_router(services: Services, stream: EventStream) -> APIRouter:
     add_picture_routes(router, services)
     add_place_routes(router, services)
     _add_record_routes(router, services)
+    add_export_routes(router, services)
+    add_job_routes(router, services)
     add_command_routes(router, services)
     add_mission_routes(router, services)
     add_past_routes(router, services)
@@ -84,7 +88,7 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
     @router.get("/api/v1/encounters", tags=["records"], responses=describe_answers(EncounterList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
     async def get_encounters(
         after: Annotated[int, Query(ge=0, le=_MAX_CURSOR, description="The cursor of the page before")] = 0,
-        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+        limit: Annotated[int, Query(ge=1, le=1000, description="Records, at most")] = 100,
     ) -> Response:
         """List records of encounters in the order in which they were last changed; a void one was a part of another and counts no more.
 

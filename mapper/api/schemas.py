@@ -222,13 +222,9 @@ class AlignedItem(AnswerModel):
     rms: float = Field(description="Root mean square of how far these are from where they were")
 
 
-class MapView(AnswerModel):
-    """The map; lengths in ``parameters.length_unit``."""
+class MapBody(AnswerModel):
+    """A map; lengths in ``parameters.length_unit``."""
 
-    version: int
-    begun_wall_ns: int = Field(description="It is of all records that had come by then")
-    computed_wall_ns: int
-    computing_s: float
     frame: dict[str, object] | None = Field(
         description="How components are brought to the operator's frame [m]: operator = matrix * map + shift; null: pins fix none"
     )
@@ -261,6 +257,15 @@ class MapView(AnswerModel):
         default=None,
         description="It lies as the map before; null: there was none, or none that shares anything: the picture may have turned",
     )
+
+
+class MapView(MapBody):
+    """The newest finished map; lengths in ``parameters.length_unit``."""
+
+    version: int
+    begun_wall_ns: int = Field(description="It is of all records that had come by then")
+    computed_wall_ns: int
+    computing_s: float
 
 
 class MapStatusView(AnswerModel):

@@ -10,7 +10,9 @@ from mapper.changes import Changes
 from mapper.commands import CommandDesk
 from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
+from mapper.encounter_export import Exports
 from mapper.fleet import Fleet
+from mapper.jobs import JobDesk
 from mapper.map_history import MapHistory
 from mapper.mission_orders import MissionDesk
 from mapper.pin_board import PinBoard
@@ -43,6 +45,8 @@ class Services:
     accounts: StimulationAccounts
     access: Access
     pins: PinBoard
+    jobs: JobDesk
+    exports: Exports
     changes: Changes
     is_connected: Callable[[], bool]
     counters: Callable[[], Mapping[str, int]]

@@ -12,7 +12,6 @@ from mapper.confidence.sufficiency import (
     Doubt,
     describe_count,
     holes_text,
-    sure_text,
 )
 
 __all__ = [
@@ -34,5 +33,4 @@ __all__ = [
     "holes_text",
     "judge_components",
     "load_models",
-    "sure_text",
 ]

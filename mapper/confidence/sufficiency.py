@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from mapper.certainty import sure_text
 from mapper.durations import duration_text
 from mapper.types import DataVerdict, HoleCount
 
@@ -17,7 +18,6 @@ LEAST_WELL_SEEN: Final = 0.2
 """How large a share of the points should be well seen."""
 _MUCH_APART = 0.1
 _LIKELY = 0.05
-_MOST_TOLD = 0.99
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,13 +94,6 @@ def holes_text(value: int, count: HoleCount | None) -> str:
     if count is None:
         return f"b1 = {value}"
     return f"b1 = {value} ({count.probability:.0%} sure)" if count.is_known else "b1 not known"
-
-
-def sure_text(probability: float) -> str:
-    """Tell a probability; nothing is told of as certain."""
-    if probability > _MOST_TOLD:
-        return f"over {_MOST_TOLD:.0%} sure"
-    return f"{probability:.0%} sure" if probability >= 1.0 - _MOST_TOLD else f"under {1.0 - _MOST_TOLD:.0%} sure"
 
 
 def _unlike_those_checked(facts: Facts) -> Iterator[tuple[str, str]]:

@@ -25,7 +25,7 @@ export class Account {
       this.signIn(element("token").value.trim());
     });
     element("sign-out").addEventListener("click", () => this.signOut());
-    document.addEventListener("signinwanted", (event) => this.onRefused(event.detail));
+    document.addEventListener("signinwanted", () => this.onRefused());
     // Controls that the role lacks can still be reached and asked why: `disabled` would hide the reason.
     document.addEventListener("click", (event) => this.explain(event), { capture: true });
   }
@@ -83,13 +83,13 @@ export class Account {
     if (!token) return fail("Enter a token first: it begins with biobot_.");
     // It goes into a header, which takes printable ASCII only.
     if (!/^[\x21-\x7e]+$/.test(token)) return fail("This is no token: one has neither spaces nor other letters than A to Z. Copy it whole.");
-    setToken(token);
     try {
-      await this.refresh();
+      await getJson("/api/v1/me", { as: token });
     } catch (problem) {
-      setToken(null);
-      return fail(problem.status === 401 ? `${problem.detail} Copy it whole, or ask an administrator for a new one.` : problem.text);
+      return fail(problem.status === 401 ? "This token opens nothing here, or was revoked. Copy it whole, or ask an administrator for a new one." : problem.text);
     }
+    setToken(token);
+    await this.refresh();
     input.value = "";
     input.removeAttribute("aria-invalid");
     element("sign-in-fault").textContent = "";
@@ -97,21 +97,22 @@ export class Account {
     say(`Signed in as ${this.me.name}, ${this.me.role}.`);
   }
 
+  /** Begin anew as nobody: what this person could see goes from the screen. */
   signOut() {
     setToken(null);
-    this.me = NOBODY;
-    this.show();
-    this.panel.close();
-    say("Signed out. The token is forgotten in this tab.");
-    this.onChange();
+    location.reload();
   }
 
-  onRefused(detail) {
-    const isExpired = hasToken() && !this.me.is_anonymous;
+  /** A token that was valid is not any more, or one is needed for everything. */
+  onRefused() {
+    const hadToken = hasToken();
     setToken(null);
     this.me = NOBODY;
     this.show();
-    if (isExpired) element("sign-in-fault").textContent = `${detail ?? "The token does not count any more."} Sign in again.`;
+    if (hadToken) {
+      element("sign-in-fault").textContent = "The token is not valid any more. Sign in again.";
+      this.refresh().catch(() => this.onChange());
+    }
     this.panel.open();
   }
 

@@ -1,21 +1,24 @@
 // Alerts: what a person should know or do something about. New ones are spoken; acknowledging says that somebody has seen it.
 
 import { say, tell } from "./announce.js";
-import { make, makeButton, setText } from "./dom.js";
-import { age, clock, count, secondsOf } from "./format.js";
+import { AlertGroup, AlertItem, biobotOf } from "./alert_item.js";
+import { make, setText } from "./dom.js";
+import { count } from "./format.js";
 import { getJson, send } from "./net.js";
 
 const RANK = { critical: 0, warning: 1, info: 2 };
-const BIOBOT = /^biobot (\d+)$/;
 const TRIES = 2;
 const MAX_SPOKEN = 3;
 const LIMIT = 1000;
+// So many of a kind are still shown one by one.
+const MAX_SINGLE = 3;
 
 export class Alerts {
   constructor({ panel, badge, account, live, onBiobot, onLow }) {
     Object.assign(this, { badge, account, live, onBiobot, onLow });
     this.known = null;
     this.items = new Map();
+    this.groups = new Map();
     this.now = make("ul", { className: "alert-list", "aria-label": "Alerts that hold" });
     this.over = make("ul", { className: "alert-list over", "aria-label": "Alerts that are over" });
     this.none = make("p", { className: "empty" }, "Nothing is wrong.");
@@ -30,7 +33,7 @@ export class Alerts {
   show(alerts) {
     const sorted = [...alerts].sort((a, b) => RANK[a.severity] - RANK[b.severity] || b.since_wall_ns - a.since_wall_ns);
     const on = sorted.filter((alert) => alert.is_on), over = sorted.filter((alert) => !alert.is_on);
-    this.fill(this.now, on);
+    this.fillGrouped(on);
     this.fill(this.over, over);
     const kept = new Set(alerts.map(({ id }) => id));
     [...this.items.keys()].filter((id) => !kept.has(id)).forEach((id) => this.remove(id));
@@ -42,7 +45,7 @@ export class Alerts {
     this.badge.className = `badge ${open[0]?.severity ?? ""}`;
     if (open.length) this.badge.replaceChildren(count(open.length), make("span", { className: "unseen" }, " not acknowledged"));
     this.speak(on);
-    this.onLow(new Set(on.filter(({ kind }) => kind === "battery_low").map(({ subject }) => BIOBOT.exec(subject)?.[1])));
+    this.onLow(new Set(on.filter(({ kind }) => kind === "battery_low").map(biobotOf)));
   }
 
   /** Those that are there when the page opens are on the badge; later ones are spoken. */
@@ -56,17 +59,43 @@ export class Alerts {
   }
 
   fill(list, alerts) {
+    this.put(list, alerts.map((alert) => this.itemOf(alert).element));
+  }
+
+  /** Those that hold: many of a kind in one entry, which stands where the first of them would. */
+  fillGrouped(alerts) {
+    const kinds = new Map();
+    alerts.forEach((alert) => kinds.set(alert.kind, [...(kinds.get(alert.kind) ?? []), alert]));
+    const grouped = new Map([...kinds].filter(([, ofKind]) => ofKind.length > MAX_SINGLE));
+    [...this.groups.keys()].filter((kind) => !grouped.has(kind)).forEach((kind) => {
+      this.groups.get(kind).remove();
+      this.groups.delete(kind);
+    });
+    for (const [kind, ofKind] of grouped) {
+      if (!this.groups.has(kind)) this.groups.set(kind, new AlertGroup({ kind, account: this.account, onAcknowledge: (ids) => this.acknowledge(ids) }));
+      this.groups.get(kind).show(ofKind);
+      this.fill(this.groups.get(kind).list, ofKind);
+    }
+    this.put(this.now, [...new Set(alerts.map((alert) => (this.groups.get(alert.kind) ?? this.itemOf(alert)).element))]);
+  }
+
+  itemOf(alert) {
+    const item = this.items.get(alert.id) ?? this.addItem(alert.id);
+    item.show(alert, this.live.serverNow());
+    return item;
+  }
+
+  /** Have these elements in a list, in this order; what is in its place stays untouched. */
+  put(list, elements) {
     let place = list.firstElementChild;
-    for (const alert of alerts) {
-      const item = this.items.get(alert.id) ?? this.addItem(alert.id);
-      item.show(alert, this.live.serverNow());
-      if (item.element === place) place = place.nextElementSibling;
-      else list.insertBefore(item.element, place);
+    for (const element of elements) {
+      if (element === place) place = place.nextElementSibling;
+      else list.insertBefore(element, place);
     }
   }
 
   addItem(id) {
-    const item = new AlertItem({ id, account: this.account, onAcknowledge: () => this.acknowledge(id), onBiobot: this.onBiobot });
+    const item = new AlertItem({ id, account: this.account, onAcknowledge: () => this.acknowledge([id]), onBiobot: this.onBiobot });
     this.items.set(id, item);
     return item;
   }
@@ -76,9 +105,9 @@ export class Alerts {
     this.items.delete(id);
   }
 
-  async acknowledge(id) {
+  async acknowledge(ids) {
     try {
-      await send("POST", `/api/v1/alerts/${id}/acknowledgement`, undefined, { tries: TRIES });
+      for (const id of ids) await send("POST", `/api/v1/alerts/${id}/acknowledgement`, undefined, { tries: TRIES });
       await this.refresh();
     } catch (problem) {
       if (problem.status === undefined) throw problem;
@@ -88,46 +117,5 @@ export class Alerts {
 
   tick() {
     this.items.forEach((item) => item.tick(this.live.serverNow()));
-  }
-}
-
-class AlertItem {
-  constructor({ account, onAcknowledge, onBiobot }) {
-    this.account = account;
-    this.severity = make("span", { className: "severity" });
-    this.subject = make("strong");
-    this.text = make("p");
-    this.when = make("p", { className: "note" });
-    this.acknowledge = makeButton("Acknowledge", onAcknowledge);
-    this.find = makeButton("Show", () => onBiobot(this.biobot), { hidden: true });
-    this.element = make("li", {},
-      make("div", { className: "alert-head" }, this.severity, this.subject, this.when), this.text, make("div", { className: "actions" }, this.acknowledge, this.find));
-    account.guard(this.acknowledge, "operator");
-  }
-
-  show(alert, nowS) {
-    this.alert = alert;
-    this.element.className = alert.is_on && !alert.acknowledged_by ? alert.severity : `${alert.severity} seen`;
-    setText(this.severity, alert.severity);
-    setText(this.subject, alert.subject);
-    setText(this.text, alert.text);
-    this.acknowledge.hidden = Boolean(alert.acknowledged_by);
-    this.acknowledge.setAttribute("aria-label", `Acknowledge: ${alert.subject}, ${alert.kind}`);
-    this.biobot = BIOBOT.exec(alert.subject)?.[1] ?? null;
-    this.find.hidden = this.biobot === null;
-    this.find.setAttribute("aria-label", `Show biobot ${this.biobot} in the table`);
-    this.tick(nowS);
-  }
-
-  tick(nowS) {
-    const { since_wall_ns: sinceNs, ended_wall_ns: endedNs, is_on: isOn, acknowledged_by: by, acknowledged_wall_ns: byNs } = this.alert;
-    const since = secondsOf(sinceNs);
-    const seen = by ? ` · acknowledged by ${by} at ${clock(secondsOf(byNs))}` : "";
-    setText(this.when, (isOn ? `since ${clock(since)} (${age(nowS - since)})` : `from ${clock(since)} to ${clock(secondsOf(endedNs))}`) + seen);
-  }
-
-  remove() {
-    this.account.forget(this.acknowledge);
-    this.element.remove();
   }
 }

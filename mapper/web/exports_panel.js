@@ -3,7 +3,7 @@
 import { make, setText } from "./dom.js";
 
 const FILES = [
-  ["Mission report", [["HTML to print", "/api/v1/report.html", "report.html"]]],
+  ["Mission report", [["HTML to print", "/api/v1/report.html?download=true", "report.html"]]],
   ["Map", [["SVG", "/api/v1/map.svg", "map.svg"], ["PNG", "/api/v1/map.png", "map.png"], ["GeoJSON", "/api/v1/map.geojson", "map.geojson"], ["JSON", "/api/v1/map", "map.json"]]],
   ["Diagram", [["SVG", "/api/v1/diagram.svg", "diagram.svg"], ["PNG", "/api/v1/diagram.png", "diagram.png"], ["JSON", "/api/v1/diagram", "diagram.json"]]],
   ["Barcode", [["SVG", "/api/v1/barcode.svg", "barcode.svg"], ["PNG", "/api/v1/barcode.png", "barcode.png"]]],

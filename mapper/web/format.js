@@ -21,6 +21,11 @@ export function percent(share) {
   return share > 0.99 ? "over 99 %" : share < 0.01 ? "under 1 %" : `${Math.round(100 * share)} %`;
 }
 
+/** The same in few characters. */
+export function shortPercent(share) {
+  return percent(share).replace("over", ">").replace("under", "<");
+}
+
 export function count(value) {
   return value.toLocaleString("en");
 }

@@ -1,7 +1,7 @@
 // Holes as a table that can be read, walked through by keyboard and heard: each is marked on the map and in the diagram as one comes to it.
 
 import { make } from "./dom.js";
-import { percent } from "./format.js";
+import { shortPercent } from "./format.js";
 import { LEAST_DRAWN } from "./map_scene.js";
 
 export class HoleList {
@@ -39,7 +39,7 @@ export class HoleList {
     const told = (value, error) => (value == null ? "–" : error == null ? `${round(value)}` : `${round(value)} ± ${round(error)}`);
     return make("tr", { "data-row": key, className: "hole" in chosen ? "" : "possible", onpointerenter: () => this.onHover(chosen), onpointerleave: () => this.onHover(null) },
       make("th", { scope: "row" }, button),
-      make("td", { className: "number" }, hole.probability == null ? "–" : percent(hole.probability).replace("over", ">").replace("under", "<")),
+      make("td", { className: "number" }, hole.probability == null ? "–" : shortPercent(hole.probability)),
       make("td", { className: "number" }, told(hole.area, hole.area_error)),
       make("td", { className: "number" }, told(hole.perimeter, hole.perimeter_error)));
   }

@@ -1,7 +1,7 @@
 // What lies over the ground of the map and is drawn anew with every frame: holes, landmarks, routes, pins, names, scale bar.
 
 import { apply } from "./affine.js";
-import { length, percent, roundBelow } from "./format.js";
+import { length, roundBelow, shortPercent } from "./format.js";
 import { middleOf } from "./map_scene.js";
 
 const FONT = 'system-ui, "Segoe UI", "DejaVu Sans", sans-serif';
@@ -111,7 +111,7 @@ function drawHole(context, labels, { hole, ring, loop, centre }, screen, colours
   context.setLineDash([]);
   context.globalAlpha = 1;
   const at = screen(centre ?? middleOf(ring));
-  const sure = hole.probability == null ? "" : percent(hole.probability);
+  const sure = hole.probability == null ? "" : shortPercent(hole.probability);
   const isTold = isNamed && isFirm;
   if (isTold) labels.add(name, [at[0], at[1] - (sure ? 8 : 0)], { colour: colours.hole, size: 17, weight: 700, rank: 9, isAlways: true });
   if (isTold && sure) labels.add(sure, [at[0], at[1] + 10], { colour: colours.hole, size: 12, rank: 8, isAlways: true });

@@ -8,19 +8,15 @@ let token = recallToken();
 
 /** What the mapper answered in place of what was asked for, or that it did not answer (status 0). `text` says what to do. */
 export class Problem extends Error {
-  constructor({ status, detail, facts = {}, retryAfterS = null }) {
+  constructor({ status, detail, facts = {} }) {
     super(detail);
-    Object.assign(this, { status, detail, facts, retryAfterS });
+    Object.assign(this, { status, detail, facts });
   }
 
   get text() {
-    const steps = {
-      0: "Look whether it runs and whether this machine reaches it; the page tries again by itself.",
-      401: "Sign in with a token.",
-      403: "Sign in with a token that has the role.",
-      429: `Wait ${this.retryAfterS ?? 1} s, then try again.`,
-      500: "The mapper's log says more.",
-    };
+    // What is said to programs of a missing token is about headers.
+    if (this.status === 401) return "This needs a token that is valid here: sign in.";
+    const steps = { 0: "Look whether it runs and whether this machine reaches it; the page tries again by itself.", 500: "The mapper's log says more." };
     const step = steps[this.status];
     return step ? `${sentence(this.detail)} ${step}` : sentence(this.detail);
   }
@@ -52,8 +48,9 @@ export function makeFetcher(path) {
   };
 }
 
-export async function getJson(path, { patienceMs = PATIENCE_MS } = {}) {
-  return (await ask("GET", path, { patienceMs })).json();
+/** The JSON behind a path; `as` is a token that is tried for this request alone. */
+export async function getJson(path, { patienceMs = PATIENCE_MS, as } = {}) {
+  return (await ask("GET", path, { patienceMs, as })).json();
 }
 
 export async function getBlob(path) {
@@ -95,8 +92,8 @@ export async function* readTexts(path, signal) {
   }
 }
 
-async function ask(method, path, { headers = {}, body, signal, patienceMs = PATIENCE_MS }) {
-  const asked = token;
+async function ask(method, path, { headers = {}, body, signal, as, patienceMs = PATIENCE_MS }) {
+  const asked = as ?? token;
   const ends = [signal, patienceMs === null ? null : AbortSignal.timeout(patienceMs)].filter(Boolean);
   let response;
   try {
@@ -114,9 +111,8 @@ async function ask(method, path, { headers = {}, body, signal, patienceMs = PATI
   }
   if (response.ok || response.status === 304) return response;
   const facts = await response.json().catch(() => ({}));
-  if (response.status === 401 && asked === token) document.dispatchEvent(new CustomEvent("signinwanted", { detail: facts.detail ?? null }));
-  const retryAfterS = Number(response.headers.get("Retry-After")) || null;
-  throw new Problem({ status: response.status, detail: facts.detail ?? `The mapper answered ${response.status} to ${path}.`, facts, retryAfterS });
+  if (response.status === 401 && asked === token) document.dispatchEvent(new Event("signinwanted"));
+  throw new Problem({ status: response.status, detail: facts.detail ?? `The mapper answered ${response.status} to ${path}.`, facts });
 }
 
 function recallToken() {

@@ -75,6 +75,7 @@ export class StateLine {
       setText(element("age"), age(this.live.serverNow() - secondsOf(begunNs)) + (nWaiting ? ` +${count(nWaiting)}` : ""));
       element("freshness").title = waiting ?? (nWaiting ? `${count(nWaiting)} records have come since and wait for the next map` : "of all records that have come");
     }
+    this.showLink();
     this.showBanner();
   }
 
@@ -82,7 +83,8 @@ export class StateLine {
     const alive = this.gateways.filter((gateway) => gateway.is_alive);
     const away = this.gateways.filter((gateway) => !gateway.is_alive).map((gateway) => gateway.name);
     const silent = alive.flatMap((gateway) => Object.entries(gateway.radios).filter(([, state]) => state !== "up").map(([radio, state]) => `${radio.replace(/^.*\//, "")} ${state}`));
-    const [state, words] = !this.live.isUp ? ["bad", this.shownAt ? "mapper does not answer" : "connecting"]
+    const [state, words] = isNobody() ? ["wait", "not signed in"]
+      : !this.live.isUp ? ["bad", this.shownAt ? "mapper does not answer" : "connecting"]
       : away.length ? ["bad", `gateway ${away.join(", ")} is away`]
       : silent.length ? ["bad", `radio ${silent.join(", ")}`]
       : alive.length ? ["good", `live, ${alive.length === 1 ? `gateway ${alive[0].name}` : `${alive.length} gateways`}`]
@@ -97,12 +99,18 @@ export class StateLine {
     const downS = this.live.isUp ? 0 : (performance.now() - this.live.downSince) / 1000;
     const isDown = downS > GRACE_S;
     const old = this.shownAt ? `What you see is from ${this.shownAt.toLocaleTimeString()}` : "There is nothing to show yet";
-    const words = isDown ? `No answer from the mapper for ${age(downS)}. ${old}; it may have changed since. Trying again.`
+    const words = isDown && isNobody() ? `Nobody is signed in. ${old}.`
+      : isDown ? `No answer from the mapper for ${age(downS)}. ${old}; it may have changed since. Trying again.`
       : this.live.isUp && this.faults.length ? `The mapper says: ${this.faults.join(" · ")}` : "";
     element("banner").hidden = words === "";
     setText(element("banner"), words);
     document.body.classList.toggle("is-old", isDown);
-    if (isDown !== this.wasDown) say(isDown ? "The mapper does not answer; what is shown may be old." : "The mapper answers again.", { isUrgent: isDown });
+    if (isDown !== this.wasDown && !isNobody()) say(isDown ? "The mapper does not answer; what is shown may be old." : "The mapper answers again.", { isUrgent: isDown });
     this.wasDown = isDown;
   }
+}
+
+/** Nobody is signed in, and nobody may look. */
+function isNobody() {
+  return document.body.dataset.role === "nobody";
 }

@@ -11,9 +11,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 
-from firmware_protocol.contract.commands import Stage
+from firmware_protocol.contract.commands import PulseRequest, Stage, StimulationRequest, WaveformName
+from firmware_protocol.contract.records import decode_record, encode_record
 from gateway.__main__ import main
 from gateway.journal_file import AuditSelection, open_journal_file, read_audit_rows
 from tests.gateway.audited import WALL_NS, a_note, a_stage, commit, delete, swap, write_audited
@@ -124,6 +126,25 @@ def test_a_table_has_all_rows_and_no_formulas(tmp_path: Path, capsys: _Captured)
     assert "there is no directory" in err
 
 
+def test_what_was_asked_of_a_train_is_shown_and_exported(tmp_path: Path, capsys: _Captured) -> None:
+    path, table = tmp_path / "j", tmp_path / "t.csv"
+    pulse = PulseRequest(
+        frequency_hz=50, pulse_width_us=4000, amplitude_mv=1500, duration_ms=300, channel=1, waveform=WaveformName.SYMMETRIC
+    )
+    plain = decode_record(a_stage(0).request, StimulationRequest)
+    asked = replace(a_stage(0), request=encode_record(msgspec.structs.replace(plain, pulse=pulse, ttl_ms=750)))
+    with contextlib.closing(open_journal_file(path, now_wall_ns=WALL_NS, now_ns=0, machine_boot="m")) as file:
+        commit(file, [asked])
+    _, out, _ = _run(capsys, "show", path, "--json")
+    said = json.loads(out)
+    assert said.items() >= {**msgspec.to_builtins(pulse), "ttl_ms": 750, "issued_wall_ns": WALL_NS}.items()
+    assert _run(capsys, "export", path, "--csv", table)[0] == 0
+    with table.open(encoding="utf-8", newline="") as stream:
+        (row,) = csv.DictReader(stream)
+    assert row.items() >= {name: str(value) for name, value in msgspec.to_builtins(pulse).items()}.items()
+    assert (row["ttl_ms"], row["issued_wall_ns"]) == ("750", str(WALL_NS))
+
+
 def test_a_row_that_no_gateway_wrote_is_named_and_the_others_are_shown(journal: Path, tmp_path: Path, capsys: _Captured) -> None:
     with contextlib.closing(sqlite3.connect(journal)) as database, database:
         database.execute("UPDATE audit SET wall_ns = 'noon', operator = CAST(x'ff' AS TEXT) WHERE id = 5")
@@ -134,6 +155,45 @@ def test_a_row_that_no_gateway_wrote_is_named_and_the_others_are_shown(journal: 
     status, _, err = _run(capsys, "export", journal, "--csv", tmp_path / "t.csv")
     assert status == 1
     assert "rows 5;" in err
+
+
+def test_rows_of_whole_pages_are_shown_where_others_are_damaged(tmp_path: Path, capsys: _Captured) -> None:
+    path = tmp_path / "j"
+    write_audited(path, 300)
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        (size,) = database.execute("PRAGMA page_size").fetchone()
+    octets = bytearray(path.read_bytes())
+    is_leaf_of_table = 0x0D  # SQLite's file format, 1.6
+    (at,) = (at for at in range(0, len(octets), size) if octets[at] == is_leaf_of_table and b"c100" in octets[at : at + size])
+    octets[at : at + size] = bytes(size)
+    path.write_bytes(octets)
+    status, out, err = _run(capsys, "show", path, "--json")
+    numbers = [json.loads(line)["id"] for line in out.splitlines()]
+    assert (status, numbers[0], numbers[-1]) == (0, 1, 300)
+    missing = sorted(set(range(1, 301)) - set(numbers))
+    assert missing == list(range(missing[0], missing[-1] + 1)), "one page"
+    assert 0 < len(missing) < 100
+    assert f"rows {missing[0]} to {missing[-1]} are not as a gateway writes it" in err
+
+
+@pytest.mark.parametrize("command", [("audit", "--csv"), ("audit", "--json"), ("journal", "--csv")])
+@pytest.mark.parametrize("name", ["j", "symlink", "hardlink", "other", "j-wal", "j-shm"])
+def test_no_export_is_written_over_a_journal_by_whatever_name(
+    journal: Path, tmp_path: Path, capsys: _Captured, command: tuple[str, str], name: str
+) -> None:
+    (tmp_path / "symlink").symlink_to(journal)
+    (tmp_path / "hardlink").hardlink_to(journal)
+    write_audited(tmp_path / "other", 3)
+    journals = ("j", "other", "hardlink")  # beside them reading makes files
+    before = [(tmp_path / one).read_bytes() for one in journals]
+    assert main([command[0], "export", str(journal), command[1], str(tmp_path / name)]) != 0
+    said = capsys.readouterr().err
+    assert "which would be lost; name another file" in said
+    assert [(tmp_path / one).read_bytes() for one in journals] == before
+    assert (tmp_path / "symlink").is_symlink()
+    assert not list(tmp_path.glob(".*.partial"))
+    assert main([command[0], "export", str(journal), command[1], str(tmp_path / "table")]) == 0
 
 
 def test_doses_are_told_by_biobot(tmp_path: Path, capsys: _Captured) -> None:

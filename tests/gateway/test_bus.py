@@ -4,7 +4,11 @@ import asyncio
 import time
 from pathlib import Path
 
+import msgspec
+import pytest
 import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from firmware_protocol.contract.commands import CommanderBeat, CommandStage, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.keys import ANY, Stream, build_key
@@ -12,10 +16,11 @@ from firmware_protocol.contract.mission_orders import MissionAction, MissionAnsw
 from firmware_protocol.contract.presence import Kind, build_token_key
 from firmware_protocol.contract.records import MissionPhase, Mode, Watermark, decode_record, encode_record
 from firmware_protocol.contract.sessions import TlsTable
+from firmware_protocol.errors import RecordError
 from firmware_protocol.units import Nanoseconds
 from gateway.bus import Bus
 from gateway.bus_client import send_order
-from gateway.bus_commands import CommandAnswer, OrderAnswer
+from gateway.bus_commands import STOPS, CommandAnswer, OrderAnswer, read_command
 from gateway.bus_presence import CommanderDoor
 from gateway.bus_session import open_client, open_service
 from gateway.bus_standing import ServiceSession, StandingDeclarations
@@ -68,6 +73,26 @@ def test_a_stop_passes_where_as_many_commands_wait_as_may(tmp_path: Path) -> Non
             journal.close()
 
     asyncio.run(story())
+
+
+@given(st.sampled_from(StimulationAction), st.one_of(st.text(max_size=100), st.none(), st.integers(0, 9)))
+def test_a_stop_is_read_whoever_gives_it_and_no_other_command_is(action: StimulationAction, operator: object) -> None:
+    said = {**msgspec.to_builtins(a_request(7, action)), "operator": operator}
+    octets = msgspec.msgpack.encode(said)
+    is_name = isinstance(operator, str) and 1 <= len(operator) <= 64
+    if is_name or action in STOPS:
+        request = read_command(octets)
+        assert request.action is action
+        assert request.operator == ((operator[:64] if isinstance(operator, str) else "") or "unknown")
+    else:
+        with pytest.raises(RecordError):
+            read_command(octets)
+
+
+@given(st.binary(max_size=60))
+def test_what_is_no_command_is_refused_as_none(octets: bytes) -> None:
+    with pytest.raises(RecordError):
+        read_command(octets)
 
 
 def test_orders_come_in_and_are_answered_and_a_query_to_all_gateways_reaches_this_one(tmp_path: Path) -> None:

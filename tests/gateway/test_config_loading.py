@@ -65,6 +65,11 @@ def test_all_faults_of_all_kinds_and_sources_are_told_at_once(tmp_path: Path) ->
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "gateway.toml"], "looking makes nothing"
 
 
+def test_a_train_that_no_window_would_ever_admit_is_a_fault_of_the_configuration(tmp_path: Path) -> None:
+    (problem,) = problems_of(tmp_path, 'ports = ["tcp:127.0.0.1:1"]\n[stimulation]\nmax_on_s = 0.4\n')
+    assert "stimulation.duration_ms is 500, but no window takes more stimulation than stimulation.max_on_s = 0.4 s" in problem
+
+
 def test_a_journal_that_is_a_directory_is_a_fault_of_the_configuration(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path, f'ports = ["tcp:127.0.0.1:1"]\njournal = "{tmp_path}"\n')
     assert problem.endswith(f"journal {tmp_path}: is a directory; name a file")

@@ -174,8 +174,11 @@ def test_a_full_disk_delays_and_is_told_when_it_begins_and_ends(tmp_path: Path) 
         futures = [journal.append(a_write(journal, 1 + number)) for number in range(2000)]
         await until(lambda: bool(faults), what="the disk is full")
         assert not futures[-1].done()
+        note = journal.append(JournalWrite(audit=AuditEntry(wall_ns=1, kind="note")))
+        assert journal.unwritten() == {"records": 2000, "messages": 2000, "audit_rows": 1}, "what an end now would lose"
         connection.execute("PRAGMA max_page_count = 1000000")
-        await futures[-1]
+        await note
+        assert set(journal.unwritten().values()) == {0}
         assert faults[0] is not None
         assert "full" in faults[0]
         assert faults[1:] == [None]

@@ -221,6 +221,47 @@ def test_a_stop_of_all_pauses_and_nobody_is_commanded_until_it_is_resumed(tmp_pa
     asyncio.run(story())
 
 
+@pytest.mark.parametrize("is_told_by_the_journal", [False, True])
+def test_a_mission_that_is_ordered_lets_those_walk_whom_others_had_stopped_and_nobody_whom_they_stop_later(
+    tmp_path: Path, is_told_by_the_journal: bool
+) -> None:
+    def a_stop(node: int, action: StimulationAction = StimulationAction.STOP) -> StimulationRequest:
+        return StimulationRequest(command_id="s", node=NodeId(node), action=action, operator="ann", issued_wall_ns=Nanoseconds(0))
+
+    async def story() -> None:
+        gate = Obeying()
+        async with a_mission(tmp_path / "j", gate, dispersion_s=0, n_landmarks=2) as (mission, nodes, _):
+            for node in _ROW:
+                say(nodes, node, mode=WireMode.S)
+                if is_told_by_the_journal:
+                    known = nodes.find(NodeId(node))
+                    assert known is not None
+                    known.mode = a_spell(node, mode=Mode.S, cause=Cause.COMMAND)
+            if not is_told_by_the_journal:
+                whole = a_stop(0, StimulationAction.STOP_ALL)
+                mission.on_stage(whole, stage_of(whole, Stage.ACCEPTED))
+            assert (await mission.handle_order(an_order(MissionAction.START))).is_taken
+            later = a_stop(3)
+            mission.on_stage(later, stage_of(later, Stage.ACCEPTED))
+            await until(lambda: not mission.state.releasing, what="they were told to walk")
+            assert gate.told(StimulationAction.START) == set(_ROW) - {3}
+            await until(lambda: "stand by another command (start them)" in mission.state.reason, what="it is told what is waited for")
+            shown = await mission.handle_order(an_order(MissionAction.SHOW))
+            assert "waits: 0 can be chosen, and 2 landmarks are wanted; of the others 6 stand by another command" in shown.reason
+            for node in (1, 2, 4, 5, 6):
+                say(nodes, node)
+            await until(lambda: mission.state.phase is MissionPhase.EXPLORATION, what="landmarks stand")
+            assert 3 not in mission.state.landmarks
+            assert len(mission.state.landmarks) == 2
+            await mission.handle_order(an_order(MissionAction.FINISH))
+            for node in _ROW:
+                say(nodes, node, mode=WireMode.S)
+            await mission.handle_order(an_order(MissionAction.START, order_id="again"))
+            await until(lambda: sum(kind == "mission.no_candidates" for kind, _ in gate.events) == 2, what="it is told again")
+
+    asyncio.run(story())
+
+
 def test_a_landmark_that_an_operator_lets_walk_is_replaced(tmp_path: Path) -> None:
     async def story() -> None:
         gate = Obeying()

@@ -14,7 +14,8 @@ from gateway.config import MissionTable
 from gateway.issuer import RecordIssuer
 from gateway.mission import MissionPlanner
 from gateway.mission.candidates import Candidates, choose, choose_next
-from gateway.mission.planner import POSSIBLE, REST_NS
+from gateway.mission.phases import POSSIBLE
+from gateway.mission.planner import REST_NS
 from gateway.mission.states import record_phase
 from gateway.mission.steps import Choose, FollowWalls, LetGo, MakeLandmark, MissionState, MissionStep, Tell
 
@@ -158,14 +159,21 @@ def test_the_landmarks_are_those_of_the_rule() -> None:
 
 
 @given(st.sets(st.sampled_from(_ALL)))
-def test_exploration_begins_when_each_landmark_stands_or_no_candidate_is_left(deaf: set[NodeId]) -> None:
+def test_exploration_begins_when_as_many_landmarks_stand_as_are_wanted_and_else_it_is_told_why_not(deaf: set[NodeId]) -> None:
     swarm = a_swarm(n_landmarks=3, dispersion_s=0)
     swarm.deaf = deaf
     swarm.tick()
     swarm.tick()
     swarm.tick()
     swarm.settle_all()
-    assert swarm.is_in(MissionPhase.EXPLORATION)
+    n_standing = len(set(_ALL) - deaf)
+    assert swarm.is_in(MissionPhase.EXPLORATION if n_standing >= 3 else MissionPhase.LANDMARK_SELECTION)
+    if n_standing < 3:
+        assert f"{n_standing} landmarks stand; not reached: " in swarm.written[-1].reason
+        assert "3 are wanted: " in swarm.written[-1].reason
+        assert swarm.order(MissionAction.REDISPERSE) is None
+        assert not swarm.planner.resting, "whoever orders that has looked at them"
+        return
     assert len(swarm.asked) == len(set(swarm.asked)), "nobody is asked twice"
     assert swarm.state.landmarks == set(swarm.asked) - deaf
     assert len(swarm.state.landmarks) == min(3, len(set(_ALL) - deaf))
@@ -182,17 +190,25 @@ def test_selection_waits_for_neighbour_reports_but_not_for_ever() -> None:
 
 
 def test_a_choice_without_candidates_is_made_again_later_and_nobody_is_asked() -> None:
-    swarm = a_swarm(dispersion_s=0)
+    swarm = a_swarm(dispersion_s=0, n_landmarks=2)
     members, swarm.members = swarm.members, ()
     for _ in range(3):
         swarm.tick(n_known=10)
     assert swarm.is_in(MissionPhase.LANDMARK_SELECTION)
+    assert "0 can be chosen, and 2 landmarks are wanted" in swarm.written[-1].reason
+    swarm.members = members[:1]
+    swarm.tick(after_s=6)
+    assert not swarm.asked, "one of two is no choice"
+    assert "1 can be chosen, and 2 landmarks are wanted" in swarm.written[-1].reason
+    n_written = len(swarm.written)
+    swarm.tick(after_s=6)
+    assert len(swarm.written) == n_written, "it is told once"
     swarm.members = members
     swarm.tick(after_s=6)
-    assert swarm.asked
+    assert len(swarm.asked) == 2
 
 
-def test_a_selection_in_which_nobody_answers_ends_instead_of_stopping_everyone() -> None:
+def test_a_selection_in_which_nobody_answers_waits_and_tells_why_instead_of_stopping_everyone() -> None:
     """With 3 landmarks wanted among 60, ten failures end the replacing; at most two more were under way by then."""
     swarm = a_swarm(n_landmarks=3, dispersion_s=0)
     swarm.members = tuple(NodeId(node) for node in range(1, 61))
@@ -202,7 +218,12 @@ def test_a_selection_in_which_nobody_answers_ends_instead_of_stopping_everyone()
         swarm.tick()
     swarm.settle_all()
     assert 10 <= len(swarm.asked) <= 12
-    assert swarm.is_in(MissionPhase.EXPLORATION)
+    assert swarm.is_in(MissionPhase.LANDMARK_SELECTION)
+    assert "so many failed that none is asked any more" in swarm.written[-1].reason
+    for node in swarm.asked[:3]:
+        swarm.take(swarm.planner.stands_after_all(node, now_ns=swarm.now_ns))
+    swarm.tick()
+    assert swarm.is_in(MissionPhase.EXPLORATION), "they stand after all"
 
 
 def test_a_lost_landmark_is_replaced_where_it_stood_and_not_by_itself() -> None:

@@ -17,7 +17,9 @@ from firmware_protocol.contract.commands import CommandStage, Refusal, Stage, St
 from firmware_protocol.contract.keys import ANY, Stream, build_key
 from firmware_protocol.contract.records import decode_record
 from firmware_protocol.messages import Action
-from firmware_protocol.units import NodeId
+from firmware_protocol.units import EVERYBODY, NodeId
+from gateway.bus_stop import stop_everywhere
+from gateway.commands.stop import _why_unsure
 from gateway.config import GatewayConfig, StimulationTable
 from tests.gateway.fake_radio import FakeBackpack, a_dongle, on_tcp, until
 from tests.gateway.harness import Listener, a_config, a_request, command, listening, running
@@ -114,6 +116,28 @@ def test_a_script_of_which_a_step_was_refused_goes_on_and_fails_in_the_end(tmp_p
     asyncio.run(story())
 
 
+def test_a_long_step_renews_its_hold_without_a_train_and_no_more_when_somebody_else_has_stopped_the_biobot(tmp_path: Path) -> None:
+    async def story() -> None:
+        dongle = a_dongle(7)
+        async with on_tcp(dongle) as port:
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=_TABLE)
+            with listening(config) as peer:
+                async with running(config):
+                    backpack = dongle.backpacks[NodeId(7)]
+                    await introduced(peer, backpack)
+                    async with program(*steering(config, 7, "left 3600"), "--hold-s", "3") as steerer:
+                        await until(lambda: len(backpack.obeyed) == 3, what="the hold is renewed, twice")
+                        assert (await command(peer, a_request(7, StimulationAction.STOP)))[-1].stage is Stage.BIOBOT_CONFIRMED
+                        steerer.send_signal(signal.SIGINT)
+                        await steerer.wait()
+                    first, *renewals, stop = backpack.obeyed
+                    assert (first.action, first.hold_ms) == (Action.TURN_LEFT, 3000)
+                    assert {(one.action, one.hold_ms, one.duration_ms) for one in renewals} == {(Action.START, 3000, 0)}
+                    assert stop.action is Action.STOP, "nothing moves it after that"
+
+    asyncio.run(story())
+
+
 def test_a_gateway_that_ends_stops_whom_it_moves_and_one_that_is_killed_does_so_when_it_runs_again(tmp_path: Path) -> None:
     async def story() -> None:
         dongle = a_dongle(7, 8, 9)
@@ -175,12 +199,28 @@ def test_stop_reaches_every_gateway_of_a_site_without_knowing_their_names(tmp_pa
                         ("base1", 7),
                         ("base2", 8),
                     }
+                    async with program("stop", "--all", *way) as stop:
+                        _, err = await stop.communicate()
+                        assert stop.returncode == 0, err
+                        assert b"asked: base1, base2;" in err
+                    hung = build_key(site=first.site, stream=Stream.ALIVE, gateway="hung")
+                    token = peer.session.liveliness().declare_token(hung)
+                    asked: set[str] = set()
+                    everybody = a_request(EVERYBODY, StimulationAction.STOP_ALL)
+                    stopping = stop_everywhere(
+                        [everybody], site=first.site, gateway=None, connect=first.listen, timeout_s=1.0, tls=first.tls, on_gateway=asked.add
+                    )
+                    ends = [stage for stage in await asyncio.to_thread(list, stopping) if stage.is_final and not stage.part_of]
+                    assert {one.gateway for one in ends} == {"base1", "base2"}
+                    assert asked == {"base1", "base2", "hung"}
+                    assert "not confirmed by gateway hung: look" in str(_why_unsure(everybody, ends, asked))
+                    token.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
                     dongles[1].backpacks[NodeId(8)].answers = False
                     async with program("stop", "8", "9", *way) as stop:
                         _, err = await stop.communicate()
                         assert stop.returncode == 1
                         assert b"biobot 8 has not confirmed that it stopped: look at the animal" in err
                         assert b"biobot 9 is known to no gateway that answered (base1, base2)" in err
-            assert all(actions(backpack) == [Action.STOP] for dongle in dongles for backpack in dongle.backpacks.values())
+            assert all(set(actions(backpack)) == {Action.STOP} for dongle in dongles for backpack in dongle.backpacks.values())
 
     asyncio.run(story())

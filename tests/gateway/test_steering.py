@@ -45,6 +45,22 @@ def test_no_input_crashes_the_keys(typed: bytes) -> None:
     assert all(keys)
 
 
+def test_whom_somebody_else_stops_is_halted_until_our_next_command() -> None:
+    steering = Steering()
+    start, stop = a_command(1, StimulationAction.START), a_command(2, StimulationAction.STOP)
+    halted: list[bool] = []
+    steering.sent(start.command_id, start.action)
+    for heard in (a_stage(start, Stage.BIOBOT_CONFIRMED), a_stage(stop, Stage.ACCEPTED), a_stage(stop, Stage.BIOBOT_CONFIRMED)):
+        steering.take_stage(heard)
+        halted.append(steering.is_halted)
+    for ours in (start, stop):
+        steering.sent(ours.command_id, ours.action)
+        halted.append(steering.is_halted)
+    steering.take_stage(a_stage(stop, Stage.ACCEPTED))
+    halted.append(steering.is_halted)
+    assert halted == [False, True, True, False, False, False], "our own stop halts nothing"
+
+
 def test_it_beats_until_the_newest_stop_is_confirmed() -> None:
     steering = Steering()
     start, first, second = (

@@ -167,6 +167,21 @@ def test_a_listener_that_fails_keeps_no_stop_from_its_end(tmp_path: Path) -> Non
     _run(tmp_path / "j", story=story)
 
 
+def test_a_stop_whose_train_is_beyond_a_limit_says_that_it_has_none_and_why(tmp_path: Path) -> None:
+    async def story(site: Site) -> None:
+        accepted, *_, last = await site.stages(5, _STOP, pulse=PulseRequest(amplitude_mv=60_000))
+        assert last.stage is Stage.BIOBOT_CONFIRMED
+        assert accepted.reason.startswith("it is stopped without a train: it asks for amplitude_mv = 60000 mV, but")
+        assert site.air.frames[-1].message.duration_ms == 0
+        accepted, *_ = await site.stages(5, _STOP)
+        assert accepted.reason == ""
+        assert site.air.frames[-1].message.duration_ms > 0
+        accepted, *_ = await site.stages(5, _STOP)
+        assert "it is stopped without a train: " in accepted.reason, "too soon after the one before"
+
+    _run(tmp_path / "j", story=story)
+
+
 def test_a_biobot_not_heard_since_the_start_is_stopped_and_never_stimulated(tmp_path: Path) -> None:
     async def story(site: Site) -> None:
         remember(site, 6)

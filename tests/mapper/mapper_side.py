@@ -1,6 +1,7 @@
 """The mapper's parts, put together as the service does, without the web server."""
 
 import asyncio
+import itertools
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -21,8 +22,10 @@ from mapper.commands import CommandDesk
 from mapper.config import RecipeConfig, make_recipe
 from mapper.current_map import CurrentMap
 from mapper.emergency_stop import EmergencyStop
+from mapper.encounter_export import Exports
 from mapper.fleet import Fleet
 from mapper.intake import Intake
+from mapper.jobs import JobDesk
 from mapper.kernels import choose_kernels
 from mapper.map_history import MapHistory
 from mapper.mission_orders import MissionDesk
@@ -60,6 +63,7 @@ class Side:
     access: Access
     tokens: Mapping[Role, NewToken]
     pins: PinBoard
+    jobs: JobDesk
 
     @property
     def services(self) -> Services:
@@ -76,6 +80,8 @@ class Side:
             accounts=self.accounts,
             access=self.access,
             pins=self.pins,
+            jobs=self.jobs,
+            exports=Exports(self.records),
             changes=self.changes,
             is_connected=lambda: self.bus.is_connected,
             counters=lambda: self.intake.counters,
@@ -151,6 +157,10 @@ async def mapper_side(
         window_ns=window_ns,
         clock=clock,
     )
+    names = itertools.count(1)
+    jobs = JobDesk(
+        records=records, changes=changes, pins=pins, recipe=recipe or RecipeConfig(), new_id=lambda: f"job{next(names)}", clock=clock
+    )
     alerts = AlertWatch(
         records=records,
         fleet=fleet,
@@ -168,7 +178,14 @@ async def mapper_side(
     access, tokens = make_access(
         Path(folder.name) / "tokens.json", allows_anonymous_reading=allows_anonymous_reading, writes_burst=writes_burst
     )
-    runs = [intake.run(), desk.run(), commander.run(), access.register.run(), *([current_map.run(), history.run()] if with_map else [])]
+    runs = [
+        intake.run(),
+        desk.run(),
+        commander.run(),
+        jobs.run(),
+        access.register.run(),
+        *([current_map.run(), history.run()] if with_map else []),
+    ]
     tasks = [asyncio.create_task(run) for run in runs]
     await asyncio.sleep(0)
     try:
@@ -187,6 +204,7 @@ async def mapper_side(
             access=access,
             tokens=tokens,
             pins=pins,
+            jobs=jobs,
         )
         assert not any(task.done() for task in tasks)
     finally:

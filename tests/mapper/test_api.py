@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from firmware_protocol.contract.commands import Stage
 from firmware_protocol.contract.records import MissionPhase
-from mapper import errors
+from mapper import errors, request_errors
 from mapper.access import Role
 from mapper.access import errors as access_errors
 from mapper.api.app import create_unguarded_app
@@ -30,12 +30,12 @@ from tests.mapper.ring import ring_records
 from tests.mapper.web_side import BASE, check_against, client_of, meet, openapi_of
 
 HUGE = 2**64 - 1
-UNKNOWN = {"command_id": "unknown", "biobot": 77, "number": 77, "version": 77}
+UNKNOWN = {"command_id": "unknown", "biobot": 77, "number": 77, "version": 77, "job_id": "unknown"}
 """What stands for the parameters of paths: nothing of that name is there."""
 _PLACES = {"from": "landmark:1001", "to": "landmark:1005"}
 ASKED = {"/api/v1/route": _PLACES, "/api/v1/distance": _PLACES, "/api/v1/maps/{version}/difference": {"since": "1"}}
 """What must be asked along."""
-KNOWN = {"command_id": "one", "biobot": HUGE, "number": 1, "version": 1}
+KNOWN = {"command_id": "one", "biobot": HUGE, "number": 1, "version": 1, "job_id": "job1"}
 
 
 def run(
@@ -72,6 +72,11 @@ def test_every_answer_is_as_the_openapi_document_says() -> None:
         check_against(document, "/api/v1/stop", await client.post("/api/v1/stop"), method="post")
         ordered = await client.post("/api/v1/mission/orders", json={"action": "start"})
         check_against(document, "/api/v1/mission/orders", ordered, method="post")
+        check_against(document, "/api/v1/jobs", await client.post("/api/v1/jobs", json={"kind": "map", "replicates": 0}), method="post")
+        async with asyncio.timeout(60):
+            await side.jobs.get("job1").is_done.wait()
+        pinned = await client.put("/api/v1/pins/door", json={"place": "landmark:1001"})
+        check_against(document, "/api/v1/pins/{name}", pinned, method="put")
         for path in gets:
             asked = ASKED.get(path, {})
             answer = await client.get(path.format(**KNOWN), params=asked)
@@ -344,13 +349,12 @@ def test_every_error_of_the_mapper_that_can_reach_the_web_has_a_status() -> None
         "OutOfMemoryError",
         "UnknownBiobotError",
         "OutputFileError",
-        "EngineMissingError",
         "TooFewEncountersError",
         "TooManyEncountersError",
         "BusError",
     }
     offline |= {"QueryError", "ListenError", "KernelsError", "SelfTestError", "MapError", "UnlikeMapsError"}
-    both = {**vars(errors), **vars(access_errors)}
+    both = {**vars(errors), **vars(access_errors), **vars(request_errors)}
     leaves = {name for name, value in both.items() if isinstance(value, type) and issubclass(value, errors.MapError)}
     assert leaves - offline == {error.__name__ for error in STATUS_OF}
 

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.contract.records import Cause, Mode
-from mapper.encounter_csv import read_encounters, read_modes
+from gateway.journal_export.rows import COLUMNS, Kind
+from mapper.encounter_csv import JOURNAL_MODE_COLUMNS, read_encounters, read_modes
 from mapper.errors import InputFileError
 from mapper.types import EncounterTable
 
@@ -197,3 +198,20 @@ def test_a_bad_mode_row_is_named_with_its_line_and_reason(tmp_path: Path, row: s
     with pytest.raises(InputFileError) as caught:
         read_modes(path)
     assert caught.value.faults == (reason,)
+
+
+def test_modes_that_a_journal_was_exported_to_are_read_to_the_nanosecond(tmp_path: Path) -> None:
+    columns = list(COLUMNS[Kind.MODES])
+    assert set(JOURNAL_MODE_COLUMNS) <= set(columns)
+    path = tmp_path / "out.modes.csv"
+    rows = [
+        "g1,ac6a5ef9,178,1,6,1,7,CRW,natural,1795726958046574232,1795726982605343597,17574787",
+        "g1,ac6a5ef9,248,1,119,1,7,S,command,1795726982605343597,,18033752",
+    ]
+    path.write_text("\n".join([",".join(columns), *rows]) + "\n")
+    first, second = read_modes(path)
+    assert (first.node, first.t_start_ns, first.t_end_ns, first.mode) == (7, 1795726958046574232, 1795726982605343597, Mode.CRW)
+    assert (second.t_start_ns, second.t_end_ns, second.mode, second.cause) == (1795726982605343597, None, Mode.S, Cause.COMMAND)
+    path.write_text("\n".join([",".join(columns), rows[0].replace("1795726982605343597", "12.5")]) + "\n")
+    with pytest.raises(InputFileError, match=r"line 2: end_wall_ns is '12\.5'; wanted nanoseconds since 1970"):
+        read_modes(path)

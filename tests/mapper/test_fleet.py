@@ -62,6 +62,26 @@ def test_who_stands_because_all_were_stopped_is_no_landmark(start_s: float, is_h
     assert (view.is_halted, view.is_landmark) == (False, False)
 
 
+@pytest.mark.parametrize(("part_of", "is_halted"), [("", False), ("all", True)], ids=["by itself", "as one of all"])
+def test_who_is_told_to_stop_by_itself_soon_after_a_stop_of_all_stands_of_its_own(part_of: str, is_halted: bool) -> None:
+    fleet = stopped_fleet()
+    spell = a_mode(start_s=STOPPED_S + 5)
+    fleet.take_modes([spell])
+    fleet.take_stage(
+        CommandStage(
+            command_id="one",
+            gateway="base1",
+            node=spell.node,
+            action=StimulationAction.STOP,
+            stage=Stage.ACCEPTED,
+            wall_ns=Nanoseconds(ANCHOR_NS + round((STOPPED_S + 4) * NS_PER_S)),
+            part_of=part_of,
+        )
+    )
+    (view,) = fleet.biobots(now_ns=0)
+    assert (view.is_halted, view.is_landmark) == (is_halted, not is_halted)
+
+
 def test_a_stop_of_all_at_one_gateway_halts_nobody_at_another() -> None:
     fleet = stopped_fleet()
     fleet.take_modes([a_mode(start_s=STOPPED_S, gateway="base2")])

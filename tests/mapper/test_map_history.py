@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapper.changes import Changes, Topic
-from mapper.errors import MapNotFoundError
 from mapper.map_archive import PastMap, change_past_maps, pack_documents, read_documents, read_past_maps, unpack_documents
 from mapper.map_history import MapHistory
 from mapper.map_job import MapDocuments
 from mapper.map_snapshot import FinishedMap, MapSnapshot
 from mapper.named_pins import Framing
+from mapper.request_errors import MapNotFoundError
 from mapper.store import Store
 from mapper.store_thread import StoreThread
 from mapper.thinning import choose_kept, make_ladder

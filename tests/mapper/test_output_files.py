@@ -1,8 +1,10 @@
 """Results are written whole or not at all, and where they cannot be written is told before they are computed."""
 
+import contextlib
 import json
 import os
 import resource
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -133,3 +135,15 @@ def test_an_input_may_be_standard_input() -> None:
     wrong = _run("-", given="a,b\n")
     assert wrong.returncode == 1
     assert b"-: line 1: the header 'a,b' lacks" in wrong.stderr
+
+
+def test_a_hard_link_to_an_input_and_a_database_are_not_written_over(tmp_path: Path) -> None:
+    source, database = tmp_path / "log.csv", tmp_path / "store.sqlite"
+    source.write_text("a")
+    (tmp_path / "again.csv").hardlink_to(source)
+    with contextlib.closing(sqlite3.connect(database)) as connection:
+        connection.execute("CREATE TABLE one (n)")
+    with pytest.raises(OutputFileError, match="is also an input"):
+        check_outputs([tmp_path / "again.csv"], [source])
+    with pytest.raises(OutputFileError, match="is a database"):
+        check_outputs([database], [source])

@@ -1,5 +1,6 @@
 """Places in the plane: what fits stays, what is exact comes out exact, and neither names nor kernels matter."""
 
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -9,14 +10,16 @@ from hypothesis import strategies as st
 
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
+from mapper.config import RecipeConfig, make_recipe
 from mapper.embedding import turn_to_axes
 from mapper.kernels import Kernels, Links, Tension
 from mapper.metric import ProfileMetric
+from mapper.pipeline import compute_map
 from mapper.placement import place_in_plane, placed_profiles
 from mapper.subsampling import stand_for, subsample_maxmin
 from mapper.types import TICKS_PER_S, FloatArray, IntArray, ModeSpell, ProfileNorm
 from tests.mapper.graphs import KERNELS, largest_of
-from tests.mapper.worlds import NS, Row
+from tests.mapper.worlds import NS, Row, table_of
 
 _TENSION = Tension(blur=0.1, drift=0.1, swerve=0.3)
 _WALKERS = 12
@@ -128,6 +131,17 @@ def test_exact_distances_to_landmarks_give_the_exact_picture() -> None:
     sample = subsample_maxmin(metric, placement.is_placed, n_points=30)
     true = np.hypot(*(places[sample.vertices][:, None] - places[sample.vertices][None]).transpose(2, 0, 1))
     assert np.abs(sample.distances / TICKS_PER_S - true).max() < 0.05 * true.max()
+
+
+def test_every_landmark_has_distances_to_every_point_though_few_encounters_may_become_points() -> None:
+    """What merges maps and finds routes asks for them, and JSON knows no nan."""
+    rows, spells, _ = _walk_between_places(np.arange(1, _WALKERS + 1))
+    recipe = dataclasses.replace(make_recipe(RecipeConfig()), max_candidates=len(rows) // 4)
+    (part,) = compute_map(table_of(rows), spells, recipe).components
+    assert part.places is not None
+    assert set(part.places.node.tolist()) == {5000, 5001, 5002, 5003, 5004, 5005}
+    assert np.isfinite(part.places.to_points).all()
+    assert np.isfinite(part.places.between).all()
 
 
 def test_names_of_walkers_do_not_move_a_place() -> None:

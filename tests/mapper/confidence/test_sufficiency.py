@@ -2,7 +2,8 @@
 
 import pytest
 
-from mapper.confidence.sufficiency import Doubt, Facts, describe_count, judge_data, sure_text
+from mapper.certainty import sure_text
+from mapper.confidence.sufficiency import Doubt, Facts, describe_count, judge_data
 from mapper.types import HoleCount
 
 _SURE = HoleCount(value=1, probability=0.97, probabilities=(0.01, 0.97, 0.02))

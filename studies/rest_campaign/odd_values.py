@@ -1,0 +1,102 @@
+"""Values that no honest client sends: each has broken some web service."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+_LARGE: Final = 70_000
+"""Bytes; the mapper takes 64 KiB."""
+
+QUERIES: Final = (
+    "",
+    "%",
+    "%FF=%FE",
+    "limit=1&limit=2",
+    "limit=%D9%A1",
+    "after=1e3",
+    "limit=NaN",
+    "after=-0",
+    "since=0x10",
+    "a" * 4000,
+    "from=&to=",
+    "wait_s=inf",
+    "version=1.0",
+    "after=9223372036854775808",
+    "limit=%00",
+    "&&&=;",
+    "from=%ED%A0%80",
+    "seen=99999999999999999999999",
+    "download=maybe",
+    "state=ON",
+    "classes=+3",
+    "from=1&until=0",
+)
+SEGMENTS: Final = (
+    "%00",
+    "%FF",
+    "%E2%80%AE",
+    "%ED%A0%80",
+    "-1",
+    "0",
+    "1e3",
+    "9223372036854775808",
+    "١",
+    "NaN",
+    "null",
+    "%25",
+    "%20",
+    "a" * 3000,
+    "*",
+    "'",
+    "%22%3E",
+    "door%0A",
+    "+",
+    "~",
+)
+BODIES: Final = (
+    b"",
+    b"{",
+    b"null",
+    b"[]",
+    b'"x"',
+    b"0",
+    b"NaN",
+    b'{"a":NaN}',
+    b"\xff\xfe{}",
+    b"[" * 5000,
+    b'{"id":"\\ud800"}',
+    b'{"x":1e999}',
+    b'{"action":"stop","action":"start"}',
+    b"\xef\xbb\xbf{}",
+    b'{"wait_s":-1e-999}',
+    b"a=1&b=2",
+    b"{}" * 10,
+    b"\x00",
+    b'{"kind":"map","n_points":4.0}',
+    b'{"place":"landmark:\\u0000","x":null,"y":1}',
+    b'{"name":"\\ud83d\\ude00","role":"viewer"}',
+    b'{"biobot":99999999999999999999999999,"action":"stop"}',
+    b" " * _LARGE,
+)
+KINDS: Final = (
+    "application/json",
+    "text/plain",
+    "application/x-www-form-urlencoded",
+    "multipart/form-data; boundary=x",
+    "application/json; charset=utf-16",
+    "application/problem+json",
+    "",
+    "///",
+    "application/json;;;",
+)
+FIELDS: Final[Mapping[str, Sequence[str]]] = {
+    "If-None-Match": ("*", '"x"', 'W/"x"', "x", '"a", "b"', "", ",,,"),
+    "Accept": ("*/*", "text/html", "application/json;q=0", "nonsense", "image/*"),
+    "Accept-Encoding": ("gzip", "identity", "gzip;q=0", "br", "*", "gzip;q=nonsense"),
+    "Range": ("bytes=0-1", "bytes=9999999-", "items=1-2"),
+    "Origin": ("null", "http://example.org"),
+    "Host": ("example.org", "127.0.0.1:1", "[::1]"),
+    "Last-Event-ID": ("7",),
+    "X-HTTP-Method-Override": ("DELETE",),
+    "Content-Encoding": ("gzip",),
+}
+"""Of the header."""
