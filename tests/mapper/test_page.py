@@ -94,9 +94,9 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         assert [(command.node, command.action, command.operator) for command in gateway.commands] == [(3, StimulationAction.STOP, "anna")]
         gateway.publish_node(3, mode=Mode.S, cause=Cause.COMMAND, heard_ns=time.time_ns())
         expect(page.get_by_role("row").filter(has=page.get_by_role("button", name="Stop biobot 3", exact=True))).to_contain_text("landmark")
-        page.get_by_label("Find").fill("walk")
+        page.get_by_label("Find biobots", exact=True).fill("walk")
         expect(page.locator("#rows tr:visible")).to_have_count(4)
-        page.get_by_label("Find").fill("")
+        page.get_by_label("Find biobots", exact=True).fill("")
         assert fits_its_width(page)
         page.wait_for_timeout(300)
         picture(page, "page-light")
