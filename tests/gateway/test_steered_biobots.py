@@ -120,20 +120,23 @@ def test_a_long_step_renews_its_hold_without_a_train_and_no_more_when_somebody_e
     async def story() -> None:
         dongle = a_dongle(7)
         async with on_tcp(dongle) as port:
-            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=_TABLE)
+            # On a busy machine the steering process may be silent for a while, which is not what is tried here.
+            table = msgspec.structs.replace(_TABLE, commander_silence_s=60.0)
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=table)
             with listening(config) as peer:
                 async with running(config):
                     backpack = dongle.backpacks[NodeId(7)]
                     await introduced(peer, backpack)
-                    async with program(*steering(config, 7, "left 3600"), "--hold-s", "3") as steerer:
-                        await until(lambda: len(backpack.obeyed) == 3, what="the hold is renewed, twice")
+                    async with program(*steering(config, 7, "left 3600"), "--hold-s", "5") as steerer:
+                        await until(lambda: len(backpack.obeyed) >= 3, what="the hold is renewed, twice")
                         assert (await command(peer, a_request(7, StimulationAction.STOP)))[-1].stage is Stage.BIOBOT_CONFIRMED
                         steerer.send_signal(signal.SIGINT)
                         await steerer.wait()
-                    first, *renewals, stop = backpack.obeyed
-                    assert (first.action, first.hold_ms) == (Action.TURN_LEFT, 3000)
-                    assert {(one.action, one.hold_ms, one.duration_ms) for one in renewals} == {(Action.START, 3000, 0)}
-                    assert stop.action is Action.STOP, "nothing moves it after that"
+                    n_before = actions(backpack).index(Action.STOP)
+                    first, *renewals = backpack.obeyed[:n_before]
+                    assert (first.action, first.hold_ms) == (Action.TURN_LEFT, 5000)
+                    assert {(one.action, one.hold_ms, one.duration_ms) for one in renewals} == {(Action.START, 5000, 0)}
+                    assert set(actions(backpack)[n_before:]) == {Action.STOP}, "nothing moves it after that; it may stop it once more"
 
     asyncio.run(story())
 

@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 
 from mapper.config import RecipeConfig, make_recipe
-from mapper.jobs import MAX_ENDED, MAX_WAITING, JobState
+from mapper.jobs import MAX_ENDED, MAX_WAITING, Job, JobState
 from mapper.period_job import PeriodMap, make_period_map
 from mapper.store import Store
 from mapper.worker import Worker
@@ -38,6 +38,22 @@ async def order(client: httpx.AsyncClient, **body: object) -> dict[str, Any]:
     job: dict[str, Any] = answer.json()
     assert answer.headers["location"] == f"{JOBS}/{job['id']}"
     return job
+
+
+async def at_work(side: Side, client: httpx.AsyncClient) -> tuple[str, int]:
+    """Order a job, and return it and its own process while it runs; one that was over before anybody looked is ordered again."""
+    while True:
+        job_id = str((await order(client))["id"])
+        job = side.jobs.get(job_id)
+
+        def has_process(job: Job = job) -> bool:
+            # Only then has the process of the job before gone.
+            return job.has_ended or (job.state is JobState.RUNNING and side.jobs.worker.pid is not None)
+
+        await until(has_process)
+        pid = side.jobs.worker.pid
+        if not job.has_ended and pid is not None:
+            return job_id, pid
 
 
 async def ended(side: Side, job_id: str) -> None:
@@ -144,13 +160,10 @@ def test_a_job_that_cannot_be_done_says_why_and_the_next_one_is() -> None:
         told = (await client.get(f"{JOBS}/{empty['id']}")).json()
         assert (told["state"], told["result_url"]) == ("failed", None)
         assert "0 encounters in that time" in told["problem"]
-        killed = await order(client)
-        await until(lambda: side.jobs.worker.pid is not None)
-        pid = side.jobs.worker.pid
-        assert pid is not None
+        job_id, pid = await at_work(side, client)
         os.kill(pid, signal.SIGKILL)
-        await ended(side, killed["id"])
-        assert "was killed by signal 9" in str(side.jobs.get(killed["id"]).problem)
+        await ended(side, job_id)
+        assert "was killed by signal 9" in str(side.jobs.get(job_id).problem)
 
     run(story)
 
