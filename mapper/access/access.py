@@ -65,18 +65,23 @@ class Access:
             raise
         return person
 
+    async def learn(self, authorization: str | None) -> None:
+        """Have `admit` know a token that somebody made a moment ago with the command line."""
+        if authorization is not None and self.register.may_be_new(_text_of(authorization)):
+            await self.register.look_now()
+
     def _identify(self, authorization: str | None, *, needed: Role, address: str, is_stop: bool) -> Person:
         if authorization is None:
             if needed is Role.VIEWER and self.allows_anonymous_reading:
                 return ANONYMOUS
             raise NoTokenError(is_wrong=False, needed=needed)
-        scheme, _, text = authorization.strip().partition(" ")
-        person = self.register.identify(text.strip()) if scheme.lower() == _SCHEME else None
+        text = _text_of(authorization)
+        person = self.register.identify(text)
         if person is not None:
             return person
         # Whose token is sound is never held up by others who try some, and no stop is answered with "too many".
         if not is_stop and self.limits.take_wrong_token(address=address):
-            _log.warning("access.wrong_token", address=address, token=token_id(text.strip()) or "malformed")
+            _log.warning("access.wrong_token", address=address, token=token_id(text) or "malformed")
         raise NoTokenError(is_wrong=True, needed=needed)
 
 
@@ -92,6 +97,12 @@ def person_of(request: _Request) -> Person:
     """Return who makes a request; on open routes nobody knows, and this raises ``KeyError``."""
     person: Person = request.scope[PERSON_KEY]
     return person
+
+
+def _text_of(authorization: str) -> str:
+    """Return what is shown by our scheme; empty: nothing is."""
+    scheme, _, text = authorization.strip().partition(" ")
+    return text.strip() if scheme.lower() == _SCHEME else ""
 
 
 def _expect_role(person: Person, needed: Role) -> None:

@@ -1,6 +1,7 @@
 """The tokens that are valid now: asked in memory, kept in the file, and read again when somebody else has changed that.
 
-A request waits for no disk: the file is looked at in a thread once a second. Where it cannot be read any more, the tokens that were read
+The file is looked at in a thread once a second, and at once where somebody shows a token that is not known yet: one that was made a
+moment ago opens what it should. No request of anybody else waits for a disk. Where it cannot be read any more, the tokens that were read
 last stay valid, so that nobody is locked out of the emergency stop by a disk; what is wrong is told among the faults of the service.
 """
 
@@ -17,13 +18,14 @@ import msgspec
 from mapper.access.errors import LastAdminError, TokenFileError, TokenNotFoundError
 from mapper.access.roles import Person, Role
 from mapper.access.token_file import MAX_VALID, Records, change_tokens, read_tokens, write_secret
-from mapper.access.tokens import ID_BYTES, SECRET_BYTES, Keyring, TokenRecord, mint, n_admins
+from mapper.access.tokens import ID_BYTES, SECRET_BYTES, Keyring, TokenRecord, mint, n_admins, token_id
 from mapper.errors import TooManyError
 from mapper.log import EventLog
 
 _log = EventLog(__name__)
 
 _LOOK_S: Final = 1.0
+_LOOK_PATIENCE_S: Final = 0.5
 _HOUR_NS: Final = 3_600_000_000_000
 
 _Stamp = tuple[int, int, int, int, int]
@@ -103,6 +105,7 @@ class TokenRegister:
         self._wall_ns = wall_ns
         self._stamp = stamp
         self._used: dict[str, int] = {}
+        self._looking: asyncio.Task[None] | None = None
         self.fault: str | None = None
         """Why the file cannot be read now; None: it can."""
         self._take(records)
@@ -132,6 +135,11 @@ class TokenRegister:
         self._used[record.id] = self._wall_ns() // _HOUR_NS * _HOUR_NS
         return Person(name=record.name, role=record.role, token_id=record.id)
 
+    def may_be_new(self, text: str) -> bool:
+        """Say whether it has the form of a token, but none that is known has its id: it may have been made a moment ago."""
+        name = token_id(text)
+        return name is not None and not self._keyring.has(name)
+
     def is_welcome(self, person: Person) -> bool:
         """Say whether somebody who was admitted would be now: nobody revoked the token."""
         return person.token_id is None or self._keyring.has(person.token_id)
@@ -160,6 +168,12 @@ class TokenRegister:
                     await asyncio.to_thread(self.note_uses)
         finally:
             self.note_uses()
+
+    async def look_now(self) -> None:
+        """Look at the file as it is now, together with all who want that, but wait for a disk that hangs half a second only."""
+        if self._looking is None or self._looking.done():
+            self._looking = asyncio.create_task(self.look())
+        await asyncio.wait({self._looking}, timeout=_LOOK_PATIENCE_S)
 
     async def look(self) -> None:
         """Read the file again if it is another than was read last."""

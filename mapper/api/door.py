@@ -38,9 +38,11 @@ class Door:
             await problem(HTTPStatus.BAD_REQUEST, detail=detail)(scope, receive, send)
             return
         client = scope.get("client")
+        authorization = _authorization(scope)
+        await self._access.learn(authorization)
         try:
             person = self._access.admit(
-                method=scope["method"], path=scope["path"], authorization=_authorization(scope), address=client[0] if client else ""
+                method=scope["method"], path=scope["path"], authorization=authorization, address=client[0] if client else ""
             )
         except MapError as error:
             await answer_error(error)(scope, receive, send)

@@ -88,10 +88,11 @@ def _add_pins(router: APIRouter, services: Services) -> None:
         place = parse_place(body.place)
         if isinstance(place, PointPlace | MapPlace):
             place = settle_place(services.current_map.require().map_json, place)
-        is_new = await services.pins.put(NamedPin(name=name, place=str(place), x=body.x, y=body.y))
+        pin = NamedPin(name=name, place=str(place), x=body.x, y=body.y)
+        is_new = await services.pins.put(pin)
         await services.current_map.frame_again()
-        (item,) = [item for item in _view_all(services) if item["name"] == name]
-        return json_response(item, status=HTTPStatus.CREATED if is_new else HTTPStatus.OK)
+        # It may be another by now, or gone: what was put is told.
+        return json_response(_view(pin, _places(services).get(pin, PinOnMap())), status=HTTPStatus.CREATED if is_new else HTTPStatus.OK)
 
     @router.delete(
         "/api/v1/pins/{name}",
@@ -121,10 +122,14 @@ def view_pins(services: Services) -> dict[str, object]:
 
 
 def _view_all(services: Services) -> list[dict[str, object]]:
+    places = _places(services)
+    return [_view(pin, places.get(pin, PinOnMap())) for pin in services.pins.pins]
+
+
+def _places(services: Services) -> dict[NamedPin, PinOnMap]:
     latest = services.current_map.latest
     framing = None if latest is None else latest.finished.documents.framing
-    places = {} if framing is None else dict(zip(framing.pins, framing.places, strict=True))
-    return [_view(pin, places.get(pin, PinOnMap())) for pin in services.pins.pins]
+    return {} if framing is None else dict(zip(framing.pins, framing.places, strict=True))
 
 
 def _view(pin: NamedPin, place: PinOnMap) -> dict[str, object]:

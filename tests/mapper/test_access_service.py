@@ -16,7 +16,7 @@ from firmware_protocol.contract.access import Identity
 from firmware_protocol.contract.access import Role as BusRole
 from gateway.certificates import Authority
 from mapper.__main__ import main
-from mapper.access import contains_token, read_tokens
+from mapper.access import Role, add_token, contains_token, read_tokens
 from tests.mapper.fake_gateway import free_port
 from tests.mapper.serving import serving, token_of
 
@@ -75,6 +75,10 @@ def test_no_secret_leaves_the_service_but_to_its_holder(tmp_path: Path, monkeypa
         assert main(["tokens", "revoke", bert.split("_")[1], "--tokens", str(tokens)]) == 0
         until(lambda: client.get("api/v1/me", headers={"Authorization": f"Bearer {bert}"}).status_code in {401, 429})
         assert client.get("api/v1/me", headers=shown).json()["role"] == "admin"
+        # One that is made is known to the very next request, though the file is looked at once a second.
+        made_by_hand = [add_token(tokens, name=f"new {n}", role=Role.VIEWER).text for n in range(5)]
+        assert [client.get("api/v1/me", headers={"Authorization": f"Bearer {token}"}).status_code for token in made_by_hand] == [200] * 5
+        secrets += [token.rpartition("_")[2] for token in made_by_hand]
     log = (tmp_path / "mapper.log").read_text()
     assert "access.first_token" in log
     assert "access.wrong_token" in log

@@ -169,3 +169,16 @@ def test_any_similarity_is_found_again_from_pins(scale: float, turn: float, is_m
     assert b'"is_mirrored":' + (b"true" if is_mirrored else b"false") in framing.frame_json
     assert len(to_json_object(result)["landmarks"]) == 20  # type: ignore[arg-type]  # a list
     assert frame_map(result, pins[:2]).frame_json == b"null"
+
+
+def test_whoever_puts_a_pin_is_told_what_was_put_though_it_is_dropped_before_the_answer() -> None:
+    async def story(side: Side, client: httpx.AsyncClient) -> None:
+        for _ in range(5):
+            putting = asyncio.create_task(pin(client, "door"))
+            for _ in iter(lambda: bool(side.services.pins.pins), True):
+                await asyncio.sleep(0)
+            assert (await client.delete(f"{PINS}/door")).status_code == HTTPStatus.NO_CONTENT
+            put = await putting
+            assert (put.status_code, put.json()["name"]) == (HTTPStatus.CREATED, "door")
+
+    run(story)
