@@ -81,6 +81,9 @@ bench-live: venv  ## 2,000 encounters/s into a store of 500,000: age of the map,
 bench-rest: venv  ## GET /api/v1/map beside a bare route of the same bytes, its latency under load, 200 event streams (minutes; ARGS="--minutes 10")
 	$(PY) -m studies.rest_speed $(ARGS)
 
+bench-page: venv  ## how long frames of the page are, with 500 rows that all change and with large maps (a browser; minutes; docs/page.md)
+	$(PY) -m studies.page_speed $(ARGS)
+
 soak: venv  ## hours of radios that fail now and then: does memory grow, do descriptors or threads? (docs/soak.md; ARGS="--hours 2")
 	$(PY) -m studies.soak $(ARGS)
 
@@ -156,6 +159,6 @@ deploy-check: venv  ## check the systemd units and udev rules of deploy/ with sy
 	$(PY) scripts/deploy_check.py
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out campaign-out bench-live-out rest-speed-out bench-gateway-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out campaign-out bench-live-out rest-speed-out page-speed-out bench-gateway-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 .PHONY: $(shell sed -nE 's/^([a-z-]+):( .*)?$$/\1/p' $(MAKEFILE_LIST))

@@ -1,6 +1,6 @@
 """A long life of 150 biobots, as records of a gateway: what `studies.bench_live` puts into a store, and what it publishes on top."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
@@ -17,6 +17,7 @@ from simulator.world import World
 
 N_BIOBOTS: Final = 150
 N_LANDMARKS: Final = 20
+_LANDMARKS: Final = range(1, N_LANDMARKS + 1)
 _STRIDE_S: Final = 5_000.0
 _NS_PER_S: Final = 1_000_000_000
 _BATCH: Final = 5_000
@@ -44,7 +45,7 @@ class Life:
         arena = find_scenario("two-obstacles").build(preset.side)
         ids = range(1, N_BIOBOTS + 1)
         world = World(arena, motion=preset.motion, ranges=preset.ranges, ids=ids, seed=seed, keeps_legs=False)
-        for landmark in range(1, N_LANDMARKS + 1):
+        for landmark in _LANDMARKS:
             world.stop(landmark)
         parts, n_ended, until_s = [], 0, 0.0
         while n_ended < n_encounters:
@@ -97,25 +98,25 @@ def make_record(
     )
 
 
-def fill_store(path: Path, life: Life, *, n_encounters: int, anchor_ns: int) -> None:
+def fill_store(path: Path, life: Life, *, n_encounters: int, anchor_ns: int, landmarks: Sequence[int] = _LANDMARKS) -> None:
     """Put the landmarks' modes and the first encounters of a life into a store."""
     store = Store(path)
     try:
-        for records in _batches(life, n_encounters=n_encounters, anchor_ns=anchor_ns):
+        for records in _batches(life, n_encounters=n_encounters, anchor_ns=anchor_ns, landmarks=landmarks):
             store.apply([records])
     finally:
         store.close()
 
 
-def _batches(life: Life, *, n_encounters: int, anchor_ns: int) -> Iterator[RecordBatch]:
+def _batches(life: Life, *, n_encounters: int, anchor_ns: int, landmarks: Sequence[int]) -> Iterator[RecordBatch]:
     gateway, journal = "past", "past"
     modes = tuple(
         ModeRecord(
             gateway=gateway,
             journal=journal,
-            offset=landmark,
+            offset=number,
             boot=_BOOT,
-            sequence=landmark,
+            sequence=number,
             revision=0,
             wall_anchor_ns=Nanoseconds(anchor_ns),
             node=NodeId(landmark),
@@ -125,12 +126,12 @@ def _batches(life: Life, *, n_encounters: int, anchor_ns: int) -> Iterator[Recor
             t_end_ns=None,
             error_ns=_CLOCK_ERROR,
         )
-        for landmark in range(1, N_LANDMARKS + 1)
+        for number, landmark in enumerate(landmarks, 1)
     )
     yield RecordBatch(gateway=gateway, journal=journal, head_offset=len(modes), records=modes)
     for first in range(0, n_encounters, _BATCH):
         rows = range(first, min(n_encounters, first + _BATCH))
-        numbers = [N_LANDMARKS + 1 + row for row in rows]
+        numbers = [len(modes) + 1 + row for row in rows]
         records = tuple(
             make_record(
                 life, row, gateway=gateway, journal=journal, boot=_BOOT, offset=number, sequence=number, revision=1, anchor_ns=anchor_ns

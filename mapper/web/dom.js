@@ -18,9 +18,21 @@ export function makeButton(text, onClick, properties = {}) {
 }
 
 export function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
+  const { firstChild: only } = element;
+  // A text that is changed in place costs less than a new one.
+  if (only instanceof Text && !only.nextSibling) {
+    if (only.data !== text) only.data = text;
+  } else if (element.textContent !== text) element.textContent = text;
 }
 
 export function setClass(element, name) {
   if (element.className !== name) element.className = name;
+}
+
+export function setHidden(element, isHidden) {
+  if (element.hidden !== isHidden) element.hidden = isHidden;
+}
+
+export function setTitle(element, text) {
+  if (element.title !== text) element.title = text;
 }

@@ -1,6 +1,7 @@
 // Numbers as people read them.
 
 const NS_PER_S = 1e9;
+const COUNTS = new Intl.NumberFormat("en");
 
 export function age(seconds) {
   if (seconds === null || !Number.isFinite(seconds)) return "–";
@@ -27,7 +28,7 @@ export function shortPercent(share) {
 }
 
 export function count(value) {
-  return value.toLocaleString("en");
+  return COUNTS.format(value);
 }
 
 export function secondsOf(nanoseconds) {

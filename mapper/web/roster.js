@@ -1,9 +1,12 @@
-// The table of biobots: sorted, searched, and moved through by the arrow keys. Rows are changed in place, so that focus stays.
+// The table of biobots: sorted, searched, and moved through by the arrow keys. Rows are changed in place, so that focus stays, and not all in
+// one frame: there may be hundreds.
 
 import { countStates, isWanted, orderBy } from "./biobot_state.js";
 import { giveCommand } from "./commands.js";
-import { make, makeButton } from "./dom.js";
+import { make, makeButton, setHidden, setText } from "./dom.js";
 import { count } from "./format.js";
+import { reorder } from "./row_order.js";
+import { RowPainter } from "./row_painter.js";
 import { COLUMNS, RosterRow } from "./roster_row.js";
 
 const element = (id) => document.getElementById(id);
@@ -16,48 +19,49 @@ export class Roster {
     this.low = new Set();
     this.sorted = { column: "id", isDown: false };
     this.reachable = null;
+    Object.assign(this, { shown: [], mustArrange: false, isWaiting: false, moving: null });
     this.body = element("rows");
+    this.painter = new RowPainter({ paint: (row) => this.paint(row) });
     this.makeHead();
-    element("filter").addEventListener("input", () => this.arrange());
-    element("only").addEventListener("change", () => this.arrange());
+    element("filter").addEventListener("input", () => this.arrangeAnew());
+    element("only").addEventListener("change", () => this.arrangeAnew());
     this.body.addEventListener("keydown", (event) => this.onKey(event));
     this.body.addEventListener("focusin", (event) => this.reach(this.rows.get(event.target.closest("tr").dataset.key)));
   }
 
   /** Show the biobots of an answer of /api/v1/biobots. */
   show({ biobots }) {
-    const nowS = this.live.serverNow();
     const gone = new Set(this.rows.keys());
     for (const biobot of biobots) {
       gone.delete(biobot.key);
-      const row = this.rows.get(biobot.key) ?? this.addRow(biobot.key);
-      this.update(row, biobot, nowS);
+      const row = this.rows.get(biobot.key);
+      if (row) row.biobot = biobot;
+      else this.addRow(biobot);
     }
     gone.forEach((key) => this.removeRow(key));
-    this.arrange();
-    this.tellCounts(nowS);
+    this.refresh();
+    this.tellCounts();
   }
 
   /** Learn how many encounters each has a minute, by key. */
   setRates(rates) {
     this.rates = rates;
-    this.updateAll();
+    this.refresh();
   }
 
   /** Learn whose battery is low: a set of keys. */
   setLow(low) {
     this.low = low;
-    this.updateAll();
+    this.refresh();
   }
 
-  updateAll() {
-    const nowS = this.live.serverNow();
-    this.rows.forEach((row) => this.update(row, row.biobot, nowS));
-    this.arrange();
+  refresh() {
+    this.painter.refresh();
+    this.arrangeSoon();
   }
 
-  update(row, biobot, nowS) {
-    row.update(biobot, { nowS, rate: this.rates.get(row.key) ?? null, isLow: this.low.has(row.key) });
+  paint(row) {
+    row.update({ nowS: this.live.serverNow(), rate: this.rates.get(row.key) ?? null, isLow: this.low.has(row.key) });
   }
 
   /** Show one biobot alone, and give its row the focus. */
@@ -72,13 +76,12 @@ export class Roster {
   }
 
   tick() {
-    const nowS = this.live.serverNow();
-    this.rows.forEach((row) => row.tick(nowS));
-    this.tellCounts(nowS);
+    this.painter.refresh();
+    this.tellCounts();
   }
 
-  tellCounts(nowS) {
-    this.onCounts(countStates([...this.rows.values()].map((row) => row.biobot), nowS), this.rows.size);
+  tellCounts() {
+    this.onCounts(countStates([...this.rows.values()].map((row) => row.biobot), this.live.serverNow()), this.rows.size);
   }
 
   makeHead() {
@@ -93,7 +96,7 @@ export class Roster {
   sortBy(column) {
     this.sorted = { column, isDown: this.sorted.column === column && !this.sorted.isDown };
     this.showSorted();
-    this.arrange();
+    this.arrangeAnew();
   }
 
   showSorted() {
@@ -104,50 +107,86 @@ export class Roster {
     });
   }
 
-  /** The rows in their order. As long as somebody points at the table or is in it, none moves: a press must not meet another biobot. */
+  /** Somebody points at the table or is in it: then no row moves, because a press must not meet another biobot. */
+  isBusy() {
+    return this.body.matches(":hover, :focus-within");
+  }
+
+  asTheyLie() {
+    const places = new Map([...this.body.children].map((element, place) => [element, place]));
+    return [...this.rows.values()].sort((a, b) => places.get(a.element) - places.get(b.element));
+  }
+
   inOrder(nowS) {
-    const rows = [...this.rows.values()];
-    if (this.body.matches(":hover, :focus-within")) {
-      const places = new Map([...this.body.children].map((element, place) => [element, place]));
-      return rows.sort((a, b) => (places.get(a.element) ?? rows.length) - (places.get(b.element) ?? rows.length));
-    }
     const compare = orderBy(this.sorted.column, { nowS, rates: this.rates });
-    rows.sort((a, b) => compare(a.biobot, b.biobot));
+    const rows = [...this.rows.values()].sort((a, b) => compare(a.biobot, b.biobot));
     return this.sorted.isDown ? rows.reverse() : rows;
   }
 
-  /** Bring the rows into order and hide those that are not looked for; what is in its place stays untouched. */
-  arrange() {
-    const nowS = this.live.serverNow();
-    const rows = this.inOrder(nowS);
-    let place = this.body.firstElementChild;
-    for (const row of rows) {
-      if (row.element === place) place = place.nextElementSibling;
-      else this.body.insertBefore(row.element, place);
-    }
-    const words = element("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
-    const kind = element("only").value;
-    this.shown = rows.filter((row) => isWanted(row.biobot, { words, kind, nowS, low: this.low }));
-    const shown = new Set(this.shown);
-    rows.forEach((row) => {
-      row.element.hidden = !shown.has(row);
-    });
-    element("no-rows").hidden = shown.size > 0;
-    element("no-rows").textContent = rows.length ? "No biobot is like that." : "No gateway has reported a biobot yet.";
-    const told = words.length || kind ? `${count(shown.size)} of ${count(rows.length)}` : "";
-    if (element("shown").textContent !== told) element("shown").textContent = told;
-    if (!shown.has(this.reachable)) this.reach(this.shown[0] ?? null);
+  /** Arrange the rows in the next frame, once for whatever asks for it until then. */
+  arrangeSoon() {
+    this.mustArrange = true;
+    this.wake();
   }
 
-  addRow(key) {
+  /** Somebody wants them otherwise: what is under way does not count any more. */
+  arrangeAnew() {
+    this.moving = null;
+    this.arrangeSoon();
+  }
+
+  wake() {
+    if (this.isWaiting) return;
+    this.isWaiting = true;
+    requestAnimationFrame(() => {
+      this.isWaiting = false;
+      // What is under way goes on first: rows that always change must not keep the last ones from their places.
+      if (this.moving) this.move();
+      else if (this.mustArrange) this.arrange();
+    });
+  }
+
+  /** Hide the rows that are not looked for, and begin to bring all into order. */
+  arrange() {
+    const nowS = this.live.serverNow(), isBusy = this.isBusy();
+    const rows = isBusy ? this.asTheyLie() : this.inOrder(nowS);
+    const words = element("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
+    const kind = element("only").value;
+    this.mustArrange = false;
+    this.shown = rows.filter((row) => isWanted(row.biobot, { words, kind, nowS, low: this.low }));
+    const shown = new Set(this.shown);
+    rows.forEach((row) => setHidden(row.element, !shown.has(row)));
+    element("no-rows").hidden = shown.size > 0;
+    setText(element("no-rows"), rows.length ? "No biobot is like that." : "No gateway has reported a biobot yet.");
+    setText(element("shown"), words.length || kind ? `${count(shown.size)} of ${count(rows.length)}` : "");
+    if (!shown.has(this.reachable)) this.reach(this.shown[0] ?? null);
+    this.moving = isBusy ? null : reorder(this.body, rows.map((row) => row.element));
+    this.move();
+  }
+
+  /** Move some rows, the others in the next frames; where somebody has come to the table meanwhile, what is moved is moved. */
+  move() {
+    if (this.moving && this.isBusy()) {
+      this.moving = null;
+      this.mustArrange = true;
+    }
+    if (this.moving?.next().done) this.moving = null;
+    if (this.moving || this.mustArrange) this.wake();
+  }
+
+  addRow(biobot) {
     const onCommand = (row, action, label) => this.command(row, action, label);
-    const row = new RosterRow({ key, onCommand, onLandmark: this.onLandmark, account: this.account });
-    this.rows.set(key, row);
-    return row;
+    const row = new RosterRow({ biobot, onCommand, onLandmark: this.onLandmark, account: this.account });
+    this.rows.set(row.key, row);
+    this.paint(row);
+    this.body.append(row.element);
+    this.painter.add(row);
   }
 
   removeRow(key) {
-    this.rows.get(key).remove();
+    const row = this.rows.get(key);
+    this.painter.remove(row);
+    row.remove();
     this.rows.delete(key);
   }
 

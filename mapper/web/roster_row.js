@@ -1,7 +1,7 @@
 // One biobot in the table: what is said of it, its commands, and how far the last one has come.
 
 import { linkOf, modeOf, silenceOf, stateOf } from "./biobot_state.js";
-import { make, makeButton, setClass, setText } from "./dom.js";
+import { make, makeButton, setClass, setHidden, setText, setTitle } from "./dom.js";
 import { age, count } from "./format.js";
 
 export const COLUMNS = [
@@ -24,10 +24,11 @@ const STEPS = ["sent", "accepted by the gateway", "sent by the radio", "confirme
 const LAST_STEP = 3;
 
 export class RosterRow {
-  constructor({ key, onCommand, onLandmark, account }) {
+  constructor({ biobot, onCommand, onLandmark, account }) {
+    const { key } = biobot;
     this.key = key;
     this.account = account;
-    this.biobot = null;
+    this.biobot = biobot;
     this.isUnderWay = false;
     this.cells = Object.fromEntries(COLUMNS.slice(1).map(({ name, isNumber }) => [name, make("td", { role: "cell", className: `c-${name}${isNumber ? " number" : ""}` })]));
     [this.state, this.mode, this.link] = ["state", "mode", "link"].map((name) => {
@@ -50,33 +51,27 @@ export class RosterRow {
     this.element = make("tr", { role: "row", "data-key": key }, make("th", { scope: "row", role: "rowheader" }, key), ...Object.values(this.cells), commands);
   }
 
-  /** Show what is known now; only what is new touches the document. */
-  update(biobot, { nowS, rate, isLow }) {
-    this.biobot = biobot;
-    const mode = modeOf(biobot);
+  /** Show what is known of `this.biobot` now; only what is new touches the document. */
+  update({ nowS, rate, isLow }) {
+    const { biobot } = this;
+    const mode = modeOf(biobot), state = stateOf(biobot, nowS);
     setText(this.mode, mode);
     setClass(this.mode, `mode ${mode}`);
-    this.mode.hidden = biobot.is_landmark;
-    this.place.hidden = !biobot.is_landmark;
+    setHidden(this.mode, biobot.is_landmark);
+    setHidden(this.place, !biobot.is_landmark);
     setText(this.cells.battery, biobot.battery_mv === null ? "–" : `${(biobot.battery_mv / 1000).toFixed(2)} V`);
     setClass(this.cells.battery, isLow ? "c-battery number low" : "c-battery number");
     setText(this.cells.rate, rate === null ? "–" : rate.toFixed(rate < 10 ? 1 : 0));
-    this.cells.rate.title = `${count(biobot.n_encounters)} encounters so far`;
+    setTitle(this.cells.rate, `${count(biobot.n_encounters)} encounters so far`);
     const { bars, words, more } = linkOf(biobot);
     setText(this.dbm, words);
     setClass(this.link, bars === null ? "link" : `link bars${bars}`);
-    this.link.title = more ?? "";
-    this.element.title = biobot.is_reachable ? `through ${biobot.gateway}` : `gateway ${biobot.gateway} is away`;
-    this.tick(nowS);
-  }
-
-  /** Show what changes with time alone. */
-  tick(nowS) {
-    const state = stateOf(this.biobot, nowS);
+    setTitle(this.link, more ?? "");
+    setTitle(this.element, biobot.is_reachable ? `through ${biobot.gateway}` : `gateway ${biobot.gateway} is away`);
     setText(this.state, state);
     setClass(this.state, `state ${state}`);
     setClass(this.element, state);
-    setText(this.cells.heard, age(silenceOf(this.biobot, nowS)));
+    setText(this.cells.heard, age(silenceOf(biobot, nowS)));
   }
 
   /** Say how far a command has come; while one is under way, only stops can be given. */

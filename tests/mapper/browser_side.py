@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -10,24 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
-CHROMIUM = shutil.which("chromium")
+from studies.chromium import CHROMIUM as CHROMIUM
+from studies.chromium import launched as launched
+
 ARTIFACTS = Path(__file__).parents[2] / "artifacts"
 WAIT_MS = 20_000
 PHONE = (390, 844)
 DESK = (1280, 800)
-FLAGS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    # A request to anywhere else fails, and is noted.
-    "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
-]
 _AXE = Path(__file__).parents[1] / "vendor" / "axe-core" / "axe.min.js"
 _SERIOUS = {"serious", "critical"}
 
@@ -39,15 +29,6 @@ class Watched:
     page: Page
     outside: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
-
-
-@contextmanager
-def launched() -> Iterator[Browser]:
-    """Start a browser that reaches nothing but loopback."""
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield chromium
-        chromium.close()
 
 
 @contextmanager
