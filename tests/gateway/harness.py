@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import socket
 import threading
 import time
 import uuid
@@ -29,15 +28,10 @@ from firmware_protocol.contract.records import (
 from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.config import BackpackTable, GatewayConfig, LinkTable, MissionTable, StimulationTable
 from gateway.service import Service
+from studies.ports import free_port
 from tests.gateway.fake_radio import until
 
 _StructT = TypeVar("_StructT", bound=Struct)
-
-
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
 
 
 def a_config(

@@ -27,8 +27,9 @@ from gateway.bus_standing import ServiceSession, StandingDeclarations
 from gateway.health import Health
 from gateway.journal import Journal
 from gateway.journal_file import JournalWrite
+from studies.ports import free_port
 from tests.gateway.fake_radio import until
-from tests.gateway.harness import a_config, a_request, free_port, peer_config
+from tests.gateway.harness import a_config, a_request, peer_config
 from tests.gateway.makers import a_mode_record
 from tests.gateway.test_control_book import a_stage
 

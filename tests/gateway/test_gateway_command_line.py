@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from gateway.__main__ import main
+from studies.ports import free_port
 from studies.reference import COMMANDS
-from tests.gateway.harness import free_port
 
 _ROOT = Path(__file__).parents[2]
 

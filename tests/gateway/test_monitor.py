@@ -25,8 +25,9 @@ from gateway.errors import MonitorError
 from gateway.health import DURATION_BOUNDS_S, Health, RadioState
 from gateway.monitor.server import Monitor
 from gateway.vitals import DiskUse, Vitals
+from studies.ports import free_port
 from tests.gateway.fake_radio import a_dongle, on_pty, until
-from tests.gateway.harness import a_config, free_port, running
+from tests.gateway.harness import a_config, running
 
 ROOT = Path(__file__).parents[2]
 

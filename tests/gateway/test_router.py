@@ -12,8 +12,8 @@ from typing import IO
 import pytest
 
 from gateway.bus_session import open_service
+from studies.ports import free_port
 from tests.gateway.certified import Certified
-from tests.gateway.harness import free_port
 
 ROOT = Path(__file__).parents[2]
 

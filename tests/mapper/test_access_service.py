@@ -17,7 +17,7 @@ from firmware_protocol.contract.access import Role as BusRole
 from gateway.certificates import Authority
 from mapper.__main__ import main
 from mapper.access import Role, add_token, contains_token, read_tokens
-from tests.mapper.fake_gateway import free_port
+from studies.ports import free_port
 from tests.mapper.serving import serving, token_of
 
 DEADLINE_S = 20.0

@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from firmware_protocol.contract.records import EncounterRecord
+from studies.ports import free_port
 from tests.mapper.browser_side import (
     CHROMIUM,
     DESK,
@@ -22,7 +23,7 @@ from tests.mapper.browser_side import (
     tab_to,
     until,
 )
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.serving import serving, token_of
 from tests.mapper.two_holes import two_holes
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import httpx
 
 from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.mapper_side import Side, until
 from tests.mapper.serving import STOP_S, serving, shown
 from tests.mapper.web_side import meet, run_story

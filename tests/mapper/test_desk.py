@@ -18,6 +18,7 @@ from firmware_protocol.contract.mission_orders import MissionAction
 from firmware_protocol.contract.records import Cause, MissionPhase, Mode
 from firmware_protocol.units import EVERYBODY
 from mapper.access import Role, add_token, revoke_token
+from studies.ports import free_port
 from tests.mapper.browser_side import (
     CHROMIUM,
     DESK,
@@ -32,7 +33,7 @@ from tests.mapper.browser_side import (
     tab_to,
     until,
 )
-from tests.mapper.fake_gateway import FakeGateway, free_port, mission
+from tests.mapper.fake_gateway import FakeGateway, mission
 from tests.mapper.serving import serving, token_of
 
 pytestmark = [

@@ -19,7 +19,8 @@ from typing import Any, Final
 import httpx
 import pytest
 
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.mapper_side import mapper_side
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving, token_of

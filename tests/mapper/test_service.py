@@ -16,7 +16,8 @@ from firmware_protocol.contract.records import EncounterRecord
 from mapper.__main__ import main
 from mapper.changes import Topic
 from mapper.rips_engines import name_engine
-from tests.mapper.fake_gateway import FakeGateway, encounter, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway, encounter
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import STOP_S, serving
 

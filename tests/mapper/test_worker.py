@@ -12,7 +12,8 @@ import pytest
 from mapper.changes import Topic
 from mapper.errors import JobError, NoMapYetError, WorkerDiedError
 from mapper.worker import Worker
-from tests.mapper.fake_gateway import FakeGateway, encounter, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway, encounter
 from tests.mapper.mapper_side import Side, mapper_side, until
 from tests.mapper.ring import ring_records
 

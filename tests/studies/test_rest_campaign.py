@@ -9,13 +9,14 @@ import requests
 from urllib3 import HTTPResponse
 
 from mapper.access import Role, add_token
+from studies.ports import free_port
 from studies.rest_campaign.asked import Asked, Way
 from studies.rest_campaign.askers import Asker, Target, is_let_in
 from studies.rest_campaign.campaign import run_campaign
 from studies.rest_campaign.judge import judge
 from studies.rest_campaign.operations import Operation, load_operations
 from studies.rest_campaign.tally import Tally, write_command, write_report
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving
 from tests.mapper.test_service import until
