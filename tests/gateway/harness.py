@@ -152,7 +152,7 @@ async def command(listener: Listener, request: StimulationRequest) -> list[Comma
     key = build_key(site="test", stream=Stream.COMMAND, gateway="base1")
 
     def ask() -> list[CommandStage]:
-        replies = listener.session.get(key, payload=encode_record(request), timeout=20.0, consolidation=zenoh.ConsolidationMode.NONE)
+        replies = listener.session.get(key, payload=encode_record(request), timeout=60.0, consolidation=zenoh.ConsolidationMode.NONE)
         return [decode_record(reply.ok.payload.to_bytes(), CommandStage) for reply in replies if reply.ok is not None]
 
     return await asyncio.to_thread(ask)
@@ -162,7 +162,7 @@ async def history(listener: Listener, request: HistoryRequest) -> list[RecordBat
     key = build_key(site="test", stream=Stream.HISTORY, gateway="base1")
 
     def ask() -> list[RecordBatch]:
-        replies = listener.session.get(key, payload=encode_record(request), timeout=20.0, consolidation=zenoh.ConsolidationMode.NONE)
+        replies = listener.session.get(key, payload=encode_record(request), timeout=60.0, consolidation=zenoh.ConsolidationMode.NONE)
         return [decode_record(reply.ok.payload.to_bytes(), RecordBatch) for reply in replies if reply.ok is not None]
 
     return await asyncio.to_thread(ask)

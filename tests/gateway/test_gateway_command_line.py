@@ -25,7 +25,7 @@ def _gateway(*arguments: str, cwd: Path, env: dict[str, str] | None = None) -> s
         text=True,
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": str(_ROOT), **(env or {})},
-        timeout=60,
+        timeout=120,
         check=False,
     )
 
@@ -155,7 +155,7 @@ def test_a_gateway_with_no_dongle_runs_answers_and_stops_on_sigterm(tmp_path: Pa
         assert (stage["stage"], stage["node"]) == ("refused", 7)
         gateway.send_signal(signal.SIGTERM)
         rest = gateway.stderr.read()
-        assert gateway.wait(timeout=20) == 0
+        assert gateway.wait(timeout=60) == 0
     assert "gateway.stopped" in rest
     assert "Traceback" not in rest
 

@@ -73,7 +73,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, Early
         gateway = stack.enter_context(FakeGateway(port=port))
         url, _process = stack.enter_context(serving(directory, connect=port, arguments=["--min-interval-s", "0.1"]))
         token = token_of(directory)
-        client = stack.enter_context(httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}))
+        client = stack.enter_context(httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}, timeout=60))
 
         def knows(n_encounters: int) -> bool:
             gateway.publish_status()

@@ -40,10 +40,10 @@ def test_what_the_document_says_holds_for_a_hundred_requests(tmp_path: Path) -> 
     with FakeGateway(port=port) as gateway:
         gateway.journal_records(ring_records())
         with serving(tmp_path, connect=port) as (url, _process):
-            until(lambda: httpx.get(url + "readyz").json()["is_connected"])
+            until(lambda: httpx.get(url + "readyz", timeout=60).json()["is_connected"])
             gateway.publish_status()
             gateway.publish_node(1)
-            until(lambda: httpx.get(url + "api/v1/maps").json()["maps"] != [])
+            until(lambda: httpx.get(url + "api/v1/maps", timeout=60).json()["maps"] != [])
             tally = run_campaign(Target(url=url.rstrip("/"), tokens=tokens), n_cases=100, seed_number=1)
     assert not tally.failures, write_report(tally, {})
     assert tally.n_cases >= 100
