@@ -116,9 +116,8 @@ def _check_page(url: str, *, token: str, n_holes: int, ca: Path | None, say: Say
         return document if document is not None and document["betti_numbers"] == [1, n_holes] else None
 
     document = until(map_with_holes, what=f"a map with {n_holes} holes", timeout_s=600)
-    say(
-        f"page and map with {n_holes} holes of {document['n_encounters']} encounters, {time.monotonic() - started:.0f} s after the health checks"
-    )
+    took_s = time.monotonic() - started
+    say(f"page, and a map with {n_holes} holes of {document['n_encounters']} encounters {took_s:.0f} s later")
     status, body = fetch(f"{url}/api/v1/stop", token=token, method="POST", ca=ca)
     if status not in {200, 202}:
         raise CheckFailedError(f"a stop of all over REST: {status} {body[:300]!r}")

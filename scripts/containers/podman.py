@@ -20,6 +20,9 @@ PROGRAMS = {
 _NETWORK_PROGRAMS = {"netavark": "apt-get install netavark", "aardvark-dns": "apt-get install aardvark-dns"}
 _NETWORK_FOLDERS = ("/usr/lib/podman", "/usr/libexec/podman", "/usr/local/lib/podman", "/usr/local/libexec/podman")
 
+_MAX_FILES, _MAX_PROCESSES = 20_000, 32_768
+"""No more than this, because podman lowers its own limits to its defaults first and may have no right to raise them again."""
+
 
 class CheckFailedError(Exception):
     """Something is not as it has to be; the text says what."""
@@ -110,9 +113,12 @@ def _finish(command: Sequence[str], *, environment: Mapping[str, str], timeout_s
 
 def _containers_conf() -> str:
     """Write settings that do without systemd and without the right to raise limits."""
-    files, processes = (resource.getrlimit(kind)[1] for kind in (resource.RLIMIT_NOFILE, resource.RLIMIT_NPROC))
-    ulimits = [f'"nofile={files}:{files}"'] if files != resource.RLIM_INFINITY else []
-    ulimits += [f'"nproc={processes}:{processes}"'] if processes != resource.RLIM_INFINITY else []
+    limits = {"nofile": (resource.RLIMIT_NOFILE, _MAX_FILES), "nproc": (resource.RLIMIT_NPROC, _MAX_PROCESSES)}
+    ulimits = []
+    for name, (kind, most) in limits.items():
+        hard = resource.getrlimit(kind)[1]
+        limit = most if hard == resource.RLIM_INFINITY else min(hard, most)
+        ulimits.append(f'"{name}={limit}:{limit}"')
     return f"""[containers]
 default_ulimits = [{", ".join(ulimits)}]
 [network]
