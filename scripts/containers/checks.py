@@ -55,7 +55,11 @@ def check_site(podman: Podman, say: Say) -> None:
     }
     setup = Project(podman=podman, name="biobot-check-site", files=files, services=(), variables=variables)
     setup.compose("--profile", "setup", "run", "-T", "--rm", "setup", "demo", "127.0.0.1", "base.local")
-    say("certificates and configuration made")
+    first = (place / "mapper" / "certificate.pem").read_bytes()
+    setup.compose("--profile", "setup", "run", "-T", "--rm", "setup", "renew")
+    if (place / "mapper" / "certificate.pem").read_bytes() == first:
+        raise CheckFailedError("the certificates are the same after `setup renew`")
+    say("certificates and configuration made, and certificates renewed")
     _check_keys(place)
     with _dongle(podman.home) as terminal:
         gateway = place / "gateway" / "gateway.toml"
@@ -77,9 +81,10 @@ def check_site(podman: Podman, say: Say) -> None:
         with project:
             _check_services(project, hangs=("router", "gateway", "mapper"), say=say)
             token = _make_token(project, "--config", "/etc/biobot/mapper.toml")
-            _check_page(f"https://127.0.0.1:{_HTTPS_PORT}", token=token, n_holes=2, ca=place / "ca.pem", say=say)
+            url, ca = f"https://127.0.0.1:{_HTTPS_PORT}", place / "ca.pem"
+            _check_page(url, token=token, n_holes=2, ca=ca, say=say)
             _check_console(project, say=say)
-            _check_data_stay(project, say=say)
+            _check_data_stay(project, token=token, url=url, ca=ca, say=say)
     _check_gone(podman, project)
 
 
@@ -131,14 +136,27 @@ def _check_console(project: Project, *, say: Say) -> None:
     say("an operator's certificate from outside the services: status of base1 heard through the router")
 
 
-def _check_data_stay(project: Project, *, say: Say) -> None:
-    """Take the containers down without their volumes and up again: the journal goes on where it was."""
-    kept = project.inside("gateway", "biobot-gateway", "journal", "check", "/var/lib/biobot/gateway.sqlite")
+def _check_data_stay(project: Project, *, token: str, url: str, ca: Path, say: Say) -> None:
+    """Take the containers down without their volumes and up again: journal and tokens are there as they were."""
+    before = _count_records(project)
     project.compose("down", "--timeout", "20")
     project.compose("up", "--detach", "--no-build", *project.services)
     for service in project.services:
         project.wait_healthy(service)
-    say(f"down and up again: the journal is as it was ({kept.splitlines()[0]})")
+    after = _count_records(project)
+    if after < before:
+        raise CheckFailedError(f"the journal had {before} records, and after down and up {after}")
+    if (status := fetch(f"{url}/api/v1/me", token=token, ca=ca)[0]) != 200:
+        raise CheckFailedError(f"the token does not open any more after down and up: {status}")
+    say(f"down and up again: the journal goes on ({before} records, then {after}), the token still opens")
+
+
+def _count_records(project: Project) -> int:
+    told = project.inside("gateway", "biobot-gateway", "journal", "check", "/var/lib/biobot/gateway.sqlite")
+    found = re.search(r"(\d+) records", told)
+    if found is None:
+        raise CheckFailedError(f"no count of records in what `journal check` printed: {told!r}")
+    return int(found.group(1))
 
 
 def _check_keys(place: Path) -> None:
