@@ -64,7 +64,7 @@ class BareMachine:
         bundle = self._home / "biobot.bundle"
         subprocess.run(["git", "-C", str(repository), "bundle", "create", "--quiet", str(bundle), "HEAD"], check=True)
         self._give("/root/biobot.bundle", bundle.read_bytes())
-        if self.run("git clone --quiet /root/biobot.bundle /root/biobot", folder="/root").status:
+        if self.run("git -c advice.detachedHead=false clone --quiet /root/biobot.bundle /root/biobot", folder="/root").status:
             raise SystemExit("git clone failed on the bare machine; what it said is above")
 
     def run(self, command: str, *, folder: str = "/root/biobot") -> "Ran":
