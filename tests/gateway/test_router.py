@@ -6,12 +6,16 @@ import signal
 import socket
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import IO
 
 import pytest
 
 from gateway.bus_session import open_service
+from gateway.router import Router
+from gateway.router_config import RouterConfig
+from gateway.service_manager import ServiceManager
 from studies.ports import free_port
 from tests.gateway.certified import Certified
 
@@ -56,3 +60,20 @@ def test_it_is_ready_reads_its_roster_again_at_sighup_and_says_who_is_connected(
             assert router.wait(timeout=60) == 0
             while manager.recv(4096) != b"STOPPING=1":
                 continue
+
+
+def test_a_router_that_nobody_speaks_to_gives_signs_of_life(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener, ThreadPoolExecutor(1) as threads:
+        listener.bind(str(tmp_path / "notify"))
+        listener.settimeout(30)
+        manager = ServiceManager(address=str(tmp_path / "notify"), watchdog_s=0.03)
+        router = Router(RouterConfig(listen=(f"tcp/127.0.0.1:{free_port()}",)), manager=manager)
+        running = threads.submit(router.run)
+        try:
+            n_signs = 0
+            while n_signs < 3:
+                n_signs += listener.recv(4096) == b"WATCHDOG=1"
+        finally:
+            router.stop()
+            running.result(30)
+            manager.close()
