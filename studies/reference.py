@@ -56,6 +56,8 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
             "certs issue",
             "certs show",
             "certs check",
+            "install-service",
+            "uninstall-service",
             "configure",
             "sniff",
             "record",
