@@ -159,8 +159,8 @@ install:  ## install this checkout as services of the machine, or upgrade them (
 uninstall:  ## remove them; data and configurations stay (ARGS="--purge --yes": those go too)
 	sh scripts/services.sh uninstall $(ARGS)
 
-install-check:  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
-	sh scripts/install_check.sh $(ARGS)
+install-check: venv  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
+	$(PY) -m scripts.installed $(ARGS)
 
 deploy-check: venv  ## check the systemd units and udev rules with systemd's own tools
 	$(PY) scripts/deploy_check.py
