@@ -152,9 +152,15 @@ fuzz-c: venv  ## throw inputs at the C side under sanitizers (needs clang; half 
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
-docker-check: venv  ## lint the Dockerfile and validate the compose file; no engine needed
+docker-check: venv  ## lint the Dockerfile and validate the compose files; no engine needed
 	$(VENV)/bin/hadolint -c docker/hadolint.yaml docker/Dockerfile
-	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
+	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml docker/compose.site.yaml
+
+containers: venv  ## build the images and run both compose files with buildah and podman (root; minutes; docs/containers.md; ARGS="--skip")
+	$(PY) -m scripts.containers $(ARGS)
+
+bare-machine:  ## demo and tests on a Debian made by debootstrap, with python3, make, gcc and git alone (root; docs/bare-machine.md; ARGS="--no-tests")
+	python3 -m scripts.bare_machine $(ARGS)
 
 install:  ## install this checkout as services of the machine, or upgrade them (root; PREFIX, DESTDIR, SERVICES=gateway,mapper,router; docs/installing.md)
 	sh scripts/services.sh install $(ARGS)
