@@ -106,6 +106,9 @@ cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the m
 sites: venv  ## three gateways, two routers, a mapper and a second site in namespaces: cut, healed, moved, accounted for (root; minutes; docs/sites.md)
 	$(PY) -m studies.sites $(ARGS)
 
+bench-sites: venv  ## what an encounter, a biobot and a base station cost gateway, routers and mapper (root; minutes; docs/scaling.md)
+	$(PY) -m studies.sites.costs $(ARGS)
+
 bench-dead-man: venv  ## kill a commander, cut its link: how soon do those that it moves stand? (links as root; minutes; docs/steering.md)
 	$(PY) -m studies.dead_man $(ARGS)
 
