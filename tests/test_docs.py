@@ -36,6 +36,7 @@ def run(command: str, *more: str, cwd: Path) -> subprocess.CompletedProcess[str]
     return result
 
 
+@pytest.mark.e2e
 def test_the_commands_of_the_readme_run(tmp_path: Path) -> None:
     """Those that wait for hardware or a signal are checked as far as their configuration."""
     ran = 0
