@@ -25,7 +25,10 @@ demo: venv  ## insects walk, a gateway listens, a mapper draws; the map opens in
 	$(PY) -m studies.demo $(ARGS)
 
 test: venv  ## run the tests (ARGS="-k name")
-	$(PY) -m pytest --numprocesses=2 --dist=loadgroup $(ARGS)
+	$(PY) -m pytest --numprocesses=3 --dist=loadgroup $(ARGS)
+
+test-campaigns: venv  ## run the tests that are studies in small, which `make test` leaves out (minutes; docs/testing.md)
+	$(PY) -m pytest --numprocesses=2 --dist=loadgroup -m campaign $(ARGS)
 
 check: venv format-check lint types layers test  ## the gate: format, lint, types, layers, tests
 
