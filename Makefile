@@ -7,6 +7,7 @@ PEERS := .venv-peers
 WIRE_PEERS := .venv-wire-peers
 FUZZ := .venv-fuzz
 ARGS ?=
+export PREFIX DESTDIR SERVICES
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 26
@@ -152,7 +153,16 @@ docker-check: venv  ## lint the Dockerfile and validate the compose file; no eng
 	$(VENV)/bin/hadolint -c docker/hadolint.yaml docker/Dockerfile
 	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
-deploy-check: venv  ## check the systemd units and udev rules of deploy/ with systemd's own tools
+install:  ## install this checkout as services of the machine, or upgrade them (root; PREFIX, DESTDIR, SERVICES=gateway,mapper,router; docs/installing.md)
+	sh scripts/services.sh install $(ARGS)
+
+uninstall:  ## remove them; data and configurations stay (ARGS="--purge --yes": those go too)
+	sh scripts/services.sh uninstall $(ARGS)
+
+install-check:  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
+	sh scripts/install_check.sh $(ARGS)
+
+deploy-check: venv  ## check the systemd units and udev rules with systemd's own tools
 	$(PY) scripts/deploy_check.py
 
 sbom: venv  ## write the bill of materials, CycloneDX (dist/biobot-VERSION.cdx.json; ARGS="--shipped")

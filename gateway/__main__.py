@@ -21,6 +21,7 @@ from gateway.commands import (
     ports,
     router,
     run,
+    services,
     status,
     steer,
     stop,
@@ -50,6 +51,12 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "config": ("print a configuration file of all keys with their defaults, or its schema", config.add_arguments, config.config),
     "router": ("carry messages between gateways, mappers and operators of several machines", router.add_arguments, router.router),
     "certs": ("make and look after the certificates of a site", certs.add_arguments, certs.certs),
+    "install-service": (
+        "install or upgrade gateway, mapper or router as services of this machine",
+        services.add_install_arguments,
+        services.install_service,
+    ),
+    "uninstall-service": ("remove those services", services.add_uninstall_arguments, services.uninstall_service),
     "configure": (
         "set the network of a native or CAN coordinator whose port no gateway holds",
         configure.add_arguments,

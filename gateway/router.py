@@ -69,16 +69,25 @@ class Router:
         self._warn_of_open_doors()
         self._manager.ready()
         try:
-            while (happening := self._happenings.get()) is not _Order.STOP:
+            while (happening := self._next()) is not _Order.STOP:
                 if happening is _Order.RELOAD:
                     self._reload()
                 elif isinstance(happening, zenoh.LinkEvent):
                     self._tell(happening)
+                # Zenoh is asked first: a router that hangs in it gives no sign of life.
                 self._manager.tell(f"{len(self._session.info.transports())} connected")
+                self._manager.give_sign()
         finally:
             self._manager.stopping()
             self._close()
         _log.info("router.stopped")
+
+    def _next(self) -> "_Order | zenoh.LinkEvent | None":
+        """Wait for what happens next; None: nothing did until a sign of life was due."""
+        try:
+            return self._happenings.get(timeout=self._manager.sign_every_s)
+        except queue.Empty:
+            return None
 
     def _open(self, members: list[Identity]) -> None:
         config = self._config

@@ -40,6 +40,8 @@ COMMANDS: dict[str, tuple[str, tuple[str, ...]]] = {
             "router",
             "certs",
             "config",
+            "install-service",
+            "uninstall-service",
             "configure",
             "sniff",
             "record",

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
 from mapper.access import Role, add_token
+from studies.ports import free_port
 
 _ValueT = TypeVar("_ValueT")
 
@@ -198,14 +198,6 @@ class RunningSystem:
     def _request(self, request: urllib.request.Request) -> Any:
         with urllib.request.urlopen(request, timeout=60) as answer:
             return json.loads(answer.read())
-
-
-def free_port() -> int:
-    """Return a TCP port on the loopback interface that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 def _environment() -> dict[str, str]:

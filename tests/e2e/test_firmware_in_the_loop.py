@@ -20,10 +20,10 @@ import pytest
 
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord, ModeRecord
 from gateway.journal_file import JournalReader
+from studies.ports import free_port
 from tests.e2e.bench_encounters import N_NODES, Meeting, all_meetings
 from tests.e2e.emulated_board import EMULATOR, EmulatedBoard
 from tests.e2e.troubled_line import TroubledLine
-from tests.gateway.harness import free_port
 
 ROOT = Path(__file__).parents[2]
 NS_PER_MS = 1_000_000

@@ -304,7 +304,7 @@ async def on_tcp(dongle: FakeDongle, *, port: int = 0) -> AsyncIterator[int]:
         await until(lambda: serving == 0, what="the connections are closed")
 
 
-async def until(is_so: Callable[[], bool], *, what: str, timeout_s: float = 20.0) -> None:
+async def until(is_so: Callable[[], bool], *, what: str, timeout_s: float = 60.0) -> None:
     """Wait until something is so; fail with ``what`` where it is not in time."""
     deadline_s = time.monotonic() + timeout_s
     while not is_so():

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from gateway.__main__ import main
+from studies.ports import free_port
 from studies.reference import COMMANDS
-from tests.gateway.harness import free_port
 
 _ROOT = Path(__file__).parents[2]
 
@@ -25,7 +25,7 @@ def _gateway(*arguments: str, cwd: Path, env: dict[str, str] | None = None) -> s
         text=True,
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": str(_ROOT), **(env or {})},
-        timeout=60,
+        timeout=120,
         check=False,
     )
 
@@ -155,7 +155,7 @@ def test_a_gateway_with_no_dongle_runs_answers_and_stops_on_sigterm(tmp_path: Pa
         assert (stage["stage"], stage["node"]) == ("refused", 7)
         gateway.send_signal(signal.SIGTERM)
         rest = gateway.stderr.read()
-        assert gateway.wait(timeout=20) == 0
+        assert gateway.wait(timeout=60) == 0
     assert "gateway.stopped" in rest
     assert "Traceback" not in rest
 

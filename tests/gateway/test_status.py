@@ -150,7 +150,7 @@ class Terminal:
         loop, came = asyncio.get_running_loop(), asyncio.Event()
         loop.add_reader(self.master, came.set)
         try:
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(60):
                 while words not in self.text:
                     await came.wait()
                     came.clear()

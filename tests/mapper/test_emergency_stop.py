@@ -10,7 +10,8 @@ import httpx
 from firmware_protocol.contract.commands import PulseRequest, Refusal, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.units import EVERYBODY, NodeId
 from mapper.commands import Wish
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.mapper_side import DEADLINE_S, Side, mapper_side, until
 from tests.mapper.web_side import check_against, client_of, meet, openapi_of, run_story
 
