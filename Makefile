@@ -103,6 +103,9 @@ campaign: venv  ## a whole site lives through 1,000 faults; is every one of 1,00
 cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the mapper's store complete again? (root; a minute; docs/zenoh.md)
 	$(PY) -m studies.cut_links $(ARGS)
 
+sites: venv  ## three gateways, two routers, a mapper and a second site in namespaces: cut, healed, moved, accounted for (root; minutes; docs/sites.md)
+	$(PY) -m studies.sites $(ARGS)
+
 bench-dead-man: venv  ## kill a commander, cut its link: how soon do those that it moves stand? (links as root; minutes; docs/steering.md)
 	$(PY) -m studies.dead_man $(ARGS)
 
@@ -181,6 +184,6 @@ formats: venv  ## keep the files that this version leaves behind, for tests of l
 	$(PY) -m scripts.release.freeze_formats $(ARGS)
 
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out campaign-out bench-live-out rest-speed-out bench-gateway-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out campaign-out bench-live-out rest-speed-out sites-out bench-gateway-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 .PHONY: $(shell sed -nE 's/^([a-z-]+):( .*)?$$/\1/p' $(MAKEFILE_LIST))

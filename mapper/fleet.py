@@ -40,6 +40,8 @@ class BiobotView:
     rssi_dbm: int | None = None
     lqi: int | None = None
     last_heard_wall_ns: int | None = None
+    silence_s: float | None = None
+    """For how long it has not been heard, by the clock of the gateway that heard it last."""
     buffered: int | None = None
     dropped: int | None = None
     firmware: int | None = None
@@ -69,6 +71,8 @@ class _Gateway:
     has_token: bool = False
     status: GatewayStatus | None = None
     heard_ns: int | None = None
+    status_ns: int = 0
+    """When the status came, on the monotonic clock."""
     radios_up: set[str] = field(default_factory=set)
 
 
@@ -96,7 +100,7 @@ class Fleet:
         """Note that a gateway spoke; ``now_ns`` is monotonic."""
         gateway = self._gateway(status.gateway)
         if gateway:
-            gateway.status, gateway.heard_ns = status, now_ns
+            gateway.status, gateway.heard_ns, gateway.status_ns = status, now_ns, now_ns
 
     def take_presence(self, token: Token, *, is_alive: bool, now_ns: int) -> None:
         """Note that a gateway, a radio, a mapper or a commander came to the bus or left it; ``now_ns`` is monotonic."""
@@ -149,15 +153,6 @@ class Fleet:
         """Set what is to be added to the wall clocks of gateways that are wrong [ns]: a biobot belongs to the one that heard it last."""
         self._shifts_ns = shifts_ns
 
-    def silences_s(self) -> dict[NodeId, float]:
-        """Return how long biobots have not been heard [s], by the clocks of the gateways that heard them last."""
-        statuses = {name: known.status for name, known in self._gateways.items() if known.status is not None}
-        return {
-            node: (statuses[status.gateway].wall_ns - status.last_heard_wall_ns) / 1e9
-            for node, status in self._nodes.items()
-            if status.gateway in statuses
-        }
-
     def gateway_of(self, node: NodeId) -> str | None:
         """Name the gateway that heard a biobot last; None for an unknown one."""
         if node in self._nodes:
@@ -196,9 +191,9 @@ class Fleet:
     def biobots(self, *, now_ns: int) -> list[BiobotView]:
         """List all biobots by id."""
         reachable = {view.name for view in self.gateways(now_ns=now_ns) if view.is_alive}
-        return [self._biobot(node, reachable) for node in sorted(self._nodes.keys() | self._modes.keys())]
+        return [self._biobot(node, reachable, now_ns) for node in sorted(self._nodes.keys() | self._modes.keys())]
 
-    def _biobot(self, node: NodeId, reachable: set[str]) -> BiobotView:
+    def _biobot(self, node: NodeId, reachable: set[str], now_ns: int) -> BiobotView:
         neighbours = self._neighbours.get(node)
         n_neighbours = len(neighbours.neighbours) if neighbours else None
         status = self._nodes.get(node)
@@ -225,6 +220,7 @@ class Fleet:
             rssi_dbm=None if status.rssi_dbm == RSSI_UNKNOWN else status.rssi_dbm,
             lqi=status.lqi,
             last_heard_wall_ns=self._heard_ns(status),
+            silence_s=self._silence_s(status, now_ns),
             buffered=status.buffered,
             dropped=status.dropped,
             firmware=status.firmware,
@@ -241,6 +237,13 @@ class Fleet:
         if self._stopped_ns.get(node, stopped_ns) > stopped_ns:
             return False
         return _HALTED_FROM_NS <= spell.t_start_ns + spell.wall_anchor_ns - stopped_ns <= _HALTED_TO_NS
+
+    def _silence_s(self, status: NodeStatus, now_ns: int) -> float | None:
+        home = self._gateways.get(status.gateway)
+        if home is None or home.status is None:
+            return None
+        then_ns = home.status.wall_ns - status.last_heard_wall_ns
+        return max(0, then_ns + now_ns - home.status_ns) / 1e9
 
     def _heard_ns(self, status: NodeStatus) -> int:
         return status.last_heard_wall_ns + self._shifts_ns.get(status.gateway, 0)

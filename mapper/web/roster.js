@@ -1,9 +1,10 @@
 // The table of biobots: sorted, searched, and moved through by the arrow keys. Rows are changed in place, so that focus stays.
 
+import { BiobotPanel } from "./biobot_panel.js";
 import { countStates, isWanted, orderBy } from "./biobot_state.js";
 import { giveCommand } from "./commands.js";
-import { make, makeButton } from "./dom.js";
-import { count } from "./format.js";
+import { make, makeButton, setText } from "./dom.js";
+import { age, count, secondsOf } from "./format.js";
 import { COLUMNS, RosterRow } from "./roster_row.js";
 
 const element = (id) => document.getElementById(id);
@@ -17,6 +18,7 @@ export class Roster {
     this.sorted = { column: "id", isDown: false };
     this.reachable = null;
     this.body = element("rows");
+    this.panel = new BiobotPanel({ account, live, onCommand: (row, command) => this.command(row, command) });
     this.makeHead();
     element("filter").addEventListener("input", () => this.arrange());
     element("only").addEventListener("change", () => this.arrange());
@@ -25,17 +27,18 @@ export class Roster {
   }
 
   /** Show the biobots of an answer of /api/v1/biobots. */
-  show({ biobots }) {
-    const nowS = this.live.serverNow();
+  show({ biobots, now_wall_ns: nowNs, lost_after_s: lostAfterS }) {
+    const nowS = this.live.serverNow(), toldS = secondsOf(nowNs);
+    document.querySelectorAll(".lost-after").forEach((span) => setText(span, age(lostAfterS)));
     const gone = new Set(this.rows.keys());
     for (const biobot of biobots) {
       gone.delete(biobot.key);
       const row = this.rows.get(biobot.key) ?? this.addRow(biobot.key);
-      this.update(row, biobot, nowS);
+      this.update(row, { ...biobot, toldS }, nowS);
     }
     gone.forEach((key) => this.removeRow(key));
     this.arrange();
-    this.tellCounts(nowS);
+    this.tellCounts();
   }
 
   /** Learn how many encounters each has a minute, by key. */
@@ -74,11 +77,11 @@ export class Roster {
   tick() {
     const nowS = this.live.serverNow();
     this.rows.forEach((row) => row.tick(nowS));
-    this.tellCounts(nowS);
+    this.panel.refresh();
   }
 
-  tellCounts(nowS) {
-    this.onCounts(countStates([...this.rows.values()].map((row) => row.biobot), nowS), this.rows.size);
+  tellCounts() {
+    this.onCounts(countStates([...this.rows.values()].map((row) => row.biobot)), this.rows.size);
   }
 
   makeHead() {
@@ -118,8 +121,7 @@ export class Roster {
 
   /** Bring the rows into order and hide those that are not looked for; what is in its place stays untouched. */
   arrange() {
-    const nowS = this.live.serverNow();
-    const rows = this.inOrder(nowS);
+    const rows = this.inOrder(this.live.serverNow());
     let place = this.body.firstElementChild;
     for (const row of rows) {
       if (row.element === place) place = place.nextElementSibling;
@@ -127,7 +129,7 @@ export class Roster {
     }
     const words = element("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
     const kind = element("only").value;
-    this.shown = rows.filter((row) => isWanted(row.biobot, { words, kind, nowS, low: this.low }));
+    this.shown = rows.filter((row) => isWanted(row.biobot, { words, kind, low: this.low }));
     const shown = new Set(this.shown);
     rows.forEach((row) => {
       row.element.hidden = !shown.has(row);
@@ -140,13 +142,15 @@ export class Roster {
   }
 
   addRow(key) {
-    const onCommand = (row, action, label) => this.command(row, action, label);
-    const row = new RosterRow({ key, onCommand, onLandmark: this.onLandmark, account: this.account });
+    const onCommand = (row, action, label) => this.command(row, { action, label });
+    const onMore = (row, opener) => this.panel.open(row, opener);
+    const row = new RosterRow({ key, onCommand, onMore, onLandmark: this.onLandmark, account: this.account });
     this.rows.set(key, row);
     return row;
   }
 
   removeRow(key) {
+    this.panel.closeFor(this.rows.get(key));
     this.rows.get(key).remove();
     this.rows.delete(key);
   }
@@ -169,16 +173,18 @@ export class Roster {
     next.buttons[Math.max(row.buttons.indexOf(event.target), 0)].focus();
   }
 
-  async command(row, action, label) {
+  /** Give a command and show its stages in the row and in words, here and by `tell`. */
+  async command(row, { action, label, more, tell = () => {} }) {
     const begun = performance.now();
-    const onStage = (stage) => {
+    const show = (stage, words) => {
       row.showCommand(stage, label);
-      this.tell(`${label}: ${stage.text} …`, null);
+      [(text) => this.tell(text, stage.isFine), (text) => tell(text, stage.isFine)].forEach((told) => told(`${label}: ${words}`));
     };
+    const onStage = (stage) => show(stage, `${stage.text} …`);
     onStage({ isFine: null, step: 0, text: "sent" });
-    const end = await giveCommand({ key: row.key, action, onStage });
-    row.showCommand(end, label);
-    this.tell(`${label}: ${end.text} (${((performance.now() - begun) / 1000).toFixed(1)} s)`, end.isFine);
+    const end = await giveCommand({ key: row.key, action, more, onStage });
+    show(end, `${end.text} (${((performance.now() - begun) / 1000).toFixed(1)} s)`);
+    this.panel.refresh();
   }
 
   tell(text, isFine) {

@@ -1,6 +1,6 @@
 // One biobot in the table: what is said of it, its commands, and how far the last one has come.
 
-import { linkOf, modeOf, silenceOf, stateOf } from "./biobot_state.js";
+import { linkOf, modeOf, silenceOf } from "./biobot_state.js";
 import { make, makeButton, setClass, setText } from "./dom.js";
 import { age, count } from "./format.js";
 
@@ -24,7 +24,7 @@ const STEPS = ["sent", "accepted by the gateway", "sent by the radio", "confirme
 const LAST_STEP = 3;
 
 export class RosterRow {
-  constructor({ key, onCommand, onLandmark, account }) {
+  constructor({ key, onCommand, onMore, onLandmark, account }) {
     this.key = key;
     this.account = account;
     this.biobot = null;
@@ -41,9 +41,12 @@ export class RosterRow {
     this.link.append(this.dbm);
     this.buttons = ACTIONS.map(({ action, label, name }) => {
       const button = makeButton(label, () => onCommand(this, action, name(key)), { className: action, tabIndex: -1, "aria-label": name(key) });
-      account.guard(button, "operator", () => (this.isUnderWay && action !== "stop" ? `Biobot ${key} has a command under way; only a stop can follow.` : null));
+      account.guard(button, "operator", () => this.refusalOf(action));
       return button;
     });
+    this.guarded = [...this.buttons];
+    const more = makeButton("⋯", () => onMore(this, more), { className: "more", tabIndex: -1, "aria-label": `More of biobot ${key}`, "aria-haspopup": "dialog" });
+    this.buttons.push(more);
     this.steps = make("span", { className: "steps", role: "img", hidden: true }, ...Array.from({ length: LAST_STEP }, () => make("i")));
     const commands = make("td", { role: "cell", className: "c-commands" }, make("div", { className: "actions" }, ...this.buttons, this.steps));
     // Said outright: where rows are no table rows to look at, on a phone, they still are to a screen reader.
@@ -66,23 +69,27 @@ export class RosterRow {
     setText(this.dbm, words);
     setClass(this.link, bars === null ? "link" : `link bars${bars}`);
     this.link.title = more ?? "";
+    setText(this.state, biobot.state);
+    setClass(this.state, `state ${biobot.state}`);
+    setClass(this.element, biobot.state);
     this.element.title = biobot.is_reachable ? `through ${biobot.gateway}` : `gateway ${biobot.gateway} is away`;
     this.tick(nowS);
   }
 
   /** Show what changes with time alone. */
   tick(nowS) {
-    const state = stateOf(this.biobot, nowS);
-    setText(this.state, state);
-    setClass(this.state, `state ${state}`);
-    setClass(this.element, state);
     setText(this.cells.heard, age(silenceOf(this.biobot, nowS)));
+  }
+
+  /** Why an action cannot be asked for now, or null. */
+  refusalOf(action) {
+    return this.isUnderWay && action !== "stop" ? `Biobot ${this.key} has a command under way; only a stop can follow.` : null;
   }
 
   /** Say how far a command has come; while one is under way, only stops can be given. */
   showCommand({ isFine, step, text }, label) {
     this.isUnderWay = isFine === null;
-    this.buttons.forEach((button) => this.account.review(button));
+    this.guarded.forEach((button) => this.account.review(button));
     this.steps.hidden = false;
     this.steps.className = `steps ${isFine === null ? "" : isFine ? "good" : "bad"}`;
     [...this.steps.children].forEach((dot, index) => {
@@ -95,7 +102,7 @@ export class RosterRow {
 
   /** Take it off the page. */
   remove() {
-    this.buttons.forEach((button) => this.account.forget(button));
+    this.guarded.forEach((button) => this.account.forget(button));
     this.element.remove();
   }
 

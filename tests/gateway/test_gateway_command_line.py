@@ -55,7 +55,7 @@ def _status(endpoint: str, *, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_help_fits_one_screen_and_version_is_told(tmp_path: Path) -> None:
-    for arguments in (["--help"], *([command, "--help"] for command in COMMANDS["biobot-gateway"][1])):
+    for arguments in (["--help"], *([*command.split(), "--help"] for command in COMMANDS["biobot-gateway"][1])):
         result = _in_process(*arguments, cwd=tmp_path)
         assert result.returncode == 0
         assert len(result.stdout.splitlines()) <= 45

@@ -160,6 +160,7 @@ class FakeGateway:
         self.beats: list[CommanderBeat] = []
         self.commanders: set[str] = set()
         self.refusal = Refusal.GAP
+        self.clock: Callable[[], int] = lambda: 0
         self._page = page
         self._lock = threading.Lock()
         config = zenoh.Config()
@@ -250,7 +251,7 @@ class FakeGateway:
             journal=self.journal,
             boot=BOOT,
             head_offset=head,
-            wall_ns=Nanoseconds(0),
+            wall_ns=Nanoseconds(self.clock()),
             radios={"pty": "up"},
             counters={"frames": 12},
             oldest_offset=self.oldest_offset,
