@@ -4,6 +4,7 @@
 # What is in this folder is checked against SHA256SUMS first. A virtual environment is made in PREFIX/VERSION, a fresh one each time (VERSION-2,
 # VERSION-3, ...), so that what runs is never changed under its feet; one that could not be finished is taken away again.
 set -eu
+umask 022
 here=$(cd "$(dirname "$0")" && pwd)
 version=$(cat "$here/VERSION")
 prefix=/opt/biobot
@@ -90,7 +91,8 @@ trap - EXIT INT TERM
 echo "installed in $target: $("$target/bin/biobot-gateway" --version)"
 if [ -n "$with_service" ]; then
   "$target/bin/biobot-gateway" install-service "$@" && exit 0
-  rm -rf "$target"
-  fail "the services could not be set up (above); $target is taken away again"
+  # A version that gave way to the one before is of no use; one that waits for a correction of its configuration is recorded.
+  grep -qs "\"programs\": \"$target\"" /var/lib/biobot/installed.json || rm -rf "$target"
+  fail "the services do not run yet (above)"
 fi
 echo "try it: $target/bin/python -m studies.demo --exit --out ~/biobot-demo"
