@@ -4,9 +4,12 @@ Every Python of this machine that the bundle is for is tried in a network namesp
 (``--tree``): another system's Python, or another processor's under QEMU. What cannot be tried here is told with its reason.
 """
 
+import platform
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
+from scripts.release.machines import Machine
 from scripts.release.trials import make_parser, run_inside, try_machines
 
 
@@ -19,13 +22,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not options.bundle.exists():
         print(f"error: there is no {options.bundle}; make bundle makes it", file=sys.stderr)
         return 2
-    more = () if options.no_demo else (options.speed,)
+    speed = None if options.no_demo else options.speed
     return try_machines(
-        lambda machine, folder: run_inside(machine, "bundle", folder, *more, is_cut_off=True),
+        lambda machine, folder: _try_one(machine, folder, speed=speed),
         bundle=options.bundle,
         trees=options.tree,
         only=options.only,
     )
+
+
+def _try_one(machine: Machine, folder: Path, *, speed: str | None) -> bool:
+    if speed is not None and machine.processor != platform.machine():
+        print("  the demo is left out: it walks in real time, which an emulator does not keep")
+        speed = None
+    return run_inside(machine, "bundle", folder, *([] if speed is None else [speed]), is_cut_off=True)
 
 
 if __name__ == "__main__":
