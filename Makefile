@@ -25,7 +25,10 @@ demo: venv  ## insects walk, a gateway listens, a mapper draws; the map opens in
 	$(PY) -m studies.demo $(ARGS)
 
 test: venv  ## run the tests (ARGS="-k name")
-	$(PY) -m pytest --numprocesses=2 --dist=loadgroup $(ARGS)
+	$(PY) -m pytest --numprocesses=3 --dist=loadgroup $(ARGS)
+
+test-campaigns: venv  ## run the tests that are studies in small, which `make test` leaves out (minutes; docs/testing.md)
+	$(PY) -m pytest --numprocesses=2 --dist=loadgroup -m campaign $(ARGS)
 
 check: venv format-check lint types layers test  ## the gate: format, lint, types, layers, tests
 
@@ -106,6 +109,9 @@ cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the m
 sites: venv  ## three gateways, two routers, a mapper and a second site in namespaces: cut, healed, moved, accounted for (root; minutes; docs/sites.md)
 	$(PY) -m studies.sites $(ARGS)
 
+bench-sites: venv  ## what an encounter, a biobot and a base station cost gateway, routers and mapper (root; minutes; docs/scaling.md)
+	$(PY) -m studies.sites.costs $(ARGS)
+
 bench-dead-man: venv  ## kill a commander, cut its link: how soon do those that it moves stand? (links as root; minutes; docs/steering.md)
 	$(PY) -m studies.dead_man $(ARGS)
 
@@ -152,9 +158,15 @@ fuzz-c: venv  ## throw inputs at the C side under sanitizers (needs clang; half 
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
-docker-check: venv  ## lint the Dockerfile and validate the compose file; no engine needed
+docker-check: venv  ## lint the Dockerfile and validate the compose files; no engine needed
 	$(VENV)/bin/hadolint -c docker/hadolint.yaml docker/Dockerfile
-	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
+	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml docker/compose.site.yaml
+
+containers: venv  ## build the images and run both compose files with buildah and podman (root; minutes; docs/containers.md; ARGS="--skip")
+	$(PY) -m scripts.containers $(ARGS)
+
+bare-machine:  ## demo and tests on a Debian made by debootstrap, with python3, make, gcc and git alone (root; docs/bare-machine.md; ARGS="--no-tests")
+	python3 -m scripts.bare_machine $(ARGS)
 
 install:  ## install this checkout as services of the machine, or upgrade them (root; PREFIX, DESTDIR, SERVICES=gateway,mapper,router; docs/installing.md)
 	sh scripts/services.sh install $(ARGS)
@@ -162,8 +174,8 @@ install:  ## install this checkout as services of the machine, or upgrade them (
 uninstall:  ## remove them; data and configurations stay (ARGS="--purge --yes": those go too)
 	sh scripts/services.sh uninstall $(ARGS)
 
-install-check:  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
-	sh scripts/install_check.sh $(ARGS)
+install-check: venv  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
+	$(PY) -m scripts.installed $(ARGS)
 
 deploy-check: venv  ## check the systemd units and udev rules with systemd's own tools
 	$(PY) scripts/deploy_check.py

@@ -35,7 +35,7 @@ def until_event(lines: IO[str], event: str) -> dict[str, object]:
 def test_it_is_ready_reads_its_roster_again_at_sighup_and_says_who_is_connected(tmp_path: Path) -> None:
     certified = Certified(tmp_path / "ca")
     tls, viewer, port = certified.tls("*/router/main"), certified.tls("demo/viewer/bob"), free_port()
-    command = [sys.executable, "-m", "gateway", "router", "--listen", f"tls/127.0.0.1:{port}", "--roster", str(certified.roster)]
+    command = [sys.executable, "-m", "gateway", "router", "--listen", f"tls/0.0.0.0:{port}", "--roster", str(certified.roster)]
     command += ["--tls-ca", str(tls.ca), "--tls-certificate", str(tls.certificate), "--tls-key", str(tls.key)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NOTIFY_SOCKET": str(tmp_path / "notify")}
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
@@ -44,6 +44,8 @@ def test_it_is_ready_reads_its_roster_again_at_sighup_and_says_who_is_connected(
         with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as router:
             assert router.stderr is not None
             assert manager.recv(4096) == b"READY=1"
+            # Its health check is let in and is no news: who is told to have joined is the next one.
+            assert subprocess.run([*command, "--ping"], cwd=tmp_path, env=environment, check=False).returncode == 0
             with open_service(listen=[], connect=[f"tls/127.0.0.1:{port}"], tls=viewer):
                 assert until_event(router.stderr, "router.joined")["name"] == "demo/viewer/bob"
                 while manager.recv(4096) != b"STATUS=1 connected":
@@ -60,6 +62,10 @@ def test_it_is_ready_reads_its_roster_again_at_sighup_and_says_who_is_connected(
             assert router.wait(timeout=60) == 0
             while manager.recv(4096) != b"STOPPING=1":
                 continue
+    certified.roster.write_text("*/router/main\n")
+    pinged = subprocess.run([*command, "--ping"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert pinged.returncode == 1
+    assert f"tls/127.0.0.1:{port}: nobody listens there" in pinged.stderr
 
 
 def test_a_router_that_nobody_speaks_to_gives_signs_of_life(tmp_path: Path) -> None:
