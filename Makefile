@@ -25,7 +25,10 @@ demo: venv  ## insects walk, a gateway listens, a mapper draws; the map opens in
 	$(PY) -m studies.demo $(ARGS)
 
 test: venv  ## run the tests (ARGS="-k name")
-	$(PY) -m pytest --numprocesses=2 --dist=loadgroup $(ARGS)
+	$(PY) -m pytest --numprocesses=3 --dist=loadgroup $(ARGS)
+
+test-campaigns: venv  ## run the tests that are studies in small, which `make test` leaves out (minutes; docs/testing.md)
+	$(PY) -m pytest --numprocesses=2 --dist=loadgroup -m campaign $(ARGS)
 
 check: venv format-check lint types layers test  ## the gate: format, lint, types, layers, tests
 
@@ -105,6 +108,9 @@ cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the m
 
 sites: venv  ## three gateways, two routers, a mapper and a second site in namespaces: cut, healed, moved, accounted for (root; minutes; docs/sites.md)
 	$(PY) -m studies.sites $(ARGS)
+
+bench-sites: venv  ## what an encounter, a biobot and a base station cost gateway, routers and mapper (root; minutes; docs/scaling.md)
+	$(PY) -m studies.sites.costs $(ARGS)
 
 bench-dead-man: venv  ## kill a commander, cut its link: how soon do those that it moves stand? (links as root; minutes; docs/steering.md)
 	$(PY) -m studies.dead_man $(ARGS)
