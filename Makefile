@@ -25,7 +25,10 @@ demo: venv  ## insects walk, a gateway listens, a mapper draws; the map opens in
 	$(PY) -m studies.demo $(ARGS)
 
 test: venv  ## run the tests (ARGS="-k name")
-	$(PY) -m pytest --numprocesses=2 --dist=loadgroup $(ARGS)
+	$(PY) -m pytest --numprocesses=3 --dist=loadgroup $(ARGS)
+
+test-campaigns: venv  ## run the tests that are studies in small, which `make test` leaves out (minutes; docs/testing.md)
+	$(PY) -m pytest --numprocesses=2 --dist=loadgroup -m campaign $(ARGS)
 
 check: venv format-check lint types layers test  ## the gate: format, lint, types, layers, tests
 
@@ -171,11 +174,26 @@ install:  ## install this checkout as services of the machine, or upgrade them (
 uninstall:  ## remove them; data and configurations stay (ARGS="--purge --yes": those go too)
 	sh scripts/services.sh uninstall $(ARGS)
 
-install-check:  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
-	sh scripts/install_check.sh $(ARGS)
+install-check: venv  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
+	$(PY) -m scripts.installed $(ARGS)
 
 deploy-check: venv  ## check the systemd units and udev rules with systemd's own tools
 	$(PY) scripts/deploy_check.py
+
+sbom: venv  ## write the bill of materials, CycloneDX (dist/biobot-VERSION.cdx.json; ARGS="--shipped")
+	$(PY) -m scripts.release.sbom $(ARGS)
+
+bundle: venv  ## make the archive that installs where there is no network (docs/bundle.md; minutes; ARGS="--python 3.11 --machine aarch64")
+	$(PY) -m scripts.release.bundle $(ARGS)
+
+bundle-check: venv  ## install dist's bundle without a network, map and run the demo, for each Python here (minutes; ARGS="--tree build/trees/debian-14")
+	$(PY) -m scripts.release.bundle_check $(ARGS)
+
+wheels-check: venv  ## install wheel and sdist into bare environments, and map, for each Python here (minutes; docs/releasing.md)
+	$(PY) -m scripts.release.wheels_check $(ARGS)
+
+formats: venv  ## keep the files that this version leaves behind, for tests of later ones (once a release; docs/formats.md)
+	$(PY) -m scripts.release.freeze_formats $(ARGS)
 
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out campaign-out bench-live-out rest-speed-out sites-out bench-gateway-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

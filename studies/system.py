@@ -169,7 +169,7 @@ class RunningSystem:
             "--duration", str(settings.dispersion_s + settings.exploration_s), "--drain-s", str(settings.drain_s),
             "--out", str(self.truth_directory), "--ready-file", str(ready), *settings.simulator_args,
         ])  # fmt: skip
-        self.radio = self.wait_for(lambda: ready.read_text().strip() if ready.exists() else None, what="simulator ready", timeout_s=60)
+        self.radio = self.wait_for(lambda: ready.read_text().strip() if ready.exists() else None, what="simulator ready", timeout_s=120)
         self.start_process("gateway", self.gateway_arguments())
         self.start_mapper()
 
@@ -185,7 +185,7 @@ class RunningSystem:
             "--port", str(settings.http_port), "--url-file", str(url_file), "--tokens", str(tokens), *settings.mapper_args,
         ])  # fmt: skip
         self.url = self.wait_for(
-            lambda: url_file.read_text().strip() if url_file.exists() else None, what="mapper ready", timeout_s=60
+            lambda: url_file.read_text().strip() if url_file.exists() else None, what="mapper ready", timeout_s=120
         ).rstrip("/")
 
     def _asking(self, path: str, *, body: Mapping[str, object] | None = None) -> urllib.request.Request:

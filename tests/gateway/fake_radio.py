@@ -263,8 +263,8 @@ async def on_pty(dongle: FakeDongle, link: Path) -> AsyncIterator[None]:
         async with _pumping(_pump_fd(dongle, master)):
             yield
     finally:
-        os.close(master)
         os.unlink(link)  # noqa: PTH108  # a blocking call of microseconds, in a test
+        os.close(master)
 
 
 @asynccontextmanager

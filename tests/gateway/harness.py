@@ -48,7 +48,7 @@ def a_config(
         journal=str(tmp_path / "journal.sqlite"),
         listen=(f"tcp/127.0.0.1:{free_port()}",),
         link=LinkTable(first_backoff_s=0.05, max_backoff_s=0.2),
-        stimulation=stimulation or StimulationTable(reply_timeout_s=1.0, stop_retry_s=0.3),
+        stimulation=stimulation or StimulationTable(reply_timeout_s=20.0, stop_retry_s=0.3),
         mission=mission or MissionTable(),
         backpacks=backpacks or BackpackTable(),
     )

@@ -146,8 +146,10 @@ def test_a_gateway_with_no_dongle_runs_answers_and_stops_on_sigterm(tmp_path: Pa
         env={**os.environ, "PYTHONPATH": str(_ROOT)},
     ) as gateway:
         assert gateway.stderr is not None
-        told = {line["event"]: line for line in (json.loads(gateway.stderr.readline()) for _ in range(4))}
-        assert {"gateway.started", "radio.down"} <= set(told)
+        told: dict[str, dict[str, str]] = {}
+        while not {"gateway.started", "radio.down"} <= set(told):
+            line = json.loads(gateway.stderr.readline())
+            told[line["event"]] = line
         assert "list-ports" in told["radio.down"]["reason"]
         result = _in_process("command", "7", "stop", "--connect", endpoint, cwd=tmp_path)
         assert result.returncode == 1

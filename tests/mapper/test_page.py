@@ -77,7 +77,7 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         expect(page.locator("#components")).to_have_text("1")
         expect(page.locator("#holes")).to_have_text("1")
         expect(page.get_by_text("Waiting for encounters")).to_be_hidden()
-        assert page.evaluate(COUNT_HOLE_PIXELS) > 300
+        page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 300")
         page.get_by_role("checkbox", name="holes").uncheck()
         page.wait_for_function(f"({COUNT_HOLE_PIXELS})() < 50")
         page.get_by_role("checkbox", name="holes").check()
@@ -99,17 +99,15 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         expect(page.locator("#rows tr:visible")).to_have_count(4)
         page.get_by_label("Find biobots", exact=True).fill("")
         assert fits_its_width(page)
-        page.wait_for_timeout(300)
+        page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 300")
         picture(page, "page-light")
         with opened(browser, url, token=token_of(tmp_path), scheme="dark") as dark:
             expect(dark.page.locator("#holes")).to_have_text("1")
-            dark.page.wait_for_timeout(300)
-            assert dark.page.evaluate(COUNT_HOLE_PIXELS) > 300
+            dark.page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 300")
             picture(dark.page, "page-dark")
         with opened(browser, url, token=token_of(tmp_path), size=PHONE) as phone:
             expect(phone.page.locator("#holes")).to_have_text("1")
-            phone.page.wait_for_timeout(300)
-            assert phone.page.evaluate(COUNT_HOLE_PIXELS) > 100
+            phone.page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 100")
             assert fits_its_width(phone.page)
             picture(phone.page, "page-phone")
 

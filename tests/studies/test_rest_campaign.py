@@ -34,6 +34,7 @@ NOT_DESCRIBED = "nothing is told that is not described"
 STRICT = {"Content-Security-Policy": "", "X-Content-Type-Options": "", "X-Frame-Options": "", "Referrer-Policy": ""}
 
 
+@pytest.mark.campaign
 def test_what_the_document_says_holds_for_a_hundred_requests(tmp_path: Path) -> None:
     port = free_port()
     tokens = {role: add_token(tmp_path / "tokens.json", name=f"the {role}", role=role).text for role in Role}
