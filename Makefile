@@ -109,6 +109,9 @@ cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the m
 sites: venv  ## three gateways, two routers, a mapper and a second site in namespaces: cut, healed, moved, accounted for (root; minutes; docs/sites.md)
 	$(PY) -m studies.sites $(ARGS)
 
+bench-sites: venv  ## what an encounter, a biobot and a base station cost gateway, routers and mapper (root; minutes; docs/scaling.md)
+	$(PY) -m studies.sites.costs $(ARGS)
+
 bench-dead-man: venv  ## kill a commander, cut its link: how soon do those that it moves stand? (links as root; minutes; docs/steering.md)
 	$(PY) -m studies.dead_man $(ARGS)
 
@@ -171,8 +174,8 @@ install:  ## install this checkout as services of the machine, or upgrade them (
 uninstall:  ## remove them; data and configurations stay (ARGS="--purge --yes": those go too)
 	sh scripts/services.sh uninstall $(ARGS)
 
-install-check:  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
-	sh scripts/install_check.sh $(ARGS)
+install-check: venv  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
+	$(PY) -m scripts.installed $(ARGS)
 
 deploy-check: venv  ## check the systemd units and udev rules with systemd's own tools
 	$(PY) scripts/deploy_check.py

@@ -68,11 +68,12 @@ def members(kind: type[Enum]) -> Iterator[tuple[str, str]]:
     for at, one in enumerate(body):
         if isinstance(one, ast.Assign):
             value = str(ast.literal_eval(one.value))
-            said = body[at + 1] if at + 1 < len(body) else None
-            if not (isinstance(said, ast.Expr) and isinstance(said.value, ast.Constant) and isinstance(said.value.value, str)):
-                msg = f"{kind.__name__}: nothing says what {value} means; write it as a docstring below the value"
-                raise LookupError(msg)
-            yield value, " ".join(said.value.value.split())
+            match body[at + 1 : at + 2]:
+                case [ast.Expr(value=ast.Constant(value=str(said)))]:
+                    yield value, " ".join(said.split())
+                case _:
+                    msg = f"{kind.__name__}: nothing says what {value} means; write it as a docstring below the value"
+                    raise LookupError(msg)
 
 
 def code_tables() -> list[str]:

@@ -36,7 +36,11 @@ class Registry:
         """Return the TLS table of somebody, whose certificate is issued; one that is older than `_DAYS` is out of date."""
         identity = parse_identity(common_name)
         self._authority.issue(identity, hosts=hosts, days=_DAYS, now=datetime.now(UTC) - timedelta(days=age_days))
-        folder = folder_of(self.directory, identity)
+        return self.known(common_name)
+
+    def known(self, common_name: str) -> TlsTable:
+        """Return the TLS table of somebody whose certificate has been issued."""
+        folder = folder_of(self.directory, parse_identity(common_name))
         return TlsTable(ca=str(folder / "ca.pem"), certificate=str(folder / "certificate.pem"), key=str(folder / "key.pem"))
 
 
@@ -46,7 +50,7 @@ def router_service(name: str, *, out: Path, wires: Wires, registry: Registry, tl
     place.mkdir(parents=True, exist_ok=True)
     connect = [f"tls/{wires.address(joins[1], cable=joins)}:{BUS_PORT}"] if joins else []
     top: dict[str, object] = {"listen": [f"tls/0.0.0.0:{BUS_PORT}"], "connect": connect, "roster": str(registry.roster)}
-    config = _write(place / "router.toml", {"": top, "tls": _as_table(tls)})
+    config = write_toml(place / "router.toml", {"": top, "tls": as_table(tls)})
     arguments = ["gateway", "router", "--config", str(config)]
     return Service(name=name, arguments=arguments, prefix=wires.prefix(name), environment={}, log=place / "log")
 
@@ -89,7 +93,7 @@ class House:
             "listen": [],
             "connect": [self.endpoint(router, cable=(plan.host, router))],
         }
-        _write(self._place(plan.host) / "gateway.toml", {"": top, "tls": self._tls(plan.host)})
+        write_toml(self._place(plan.host) / "gateway.toml", {"": top, "tls": self._tls(plan.host)})
 
     def mapper(self, site: SitePlan) -> tuple[Service, Page]:
         """Return a site's mapper, and how it is asked."""
@@ -109,7 +113,7 @@ class House:
             "key": tls["key"],
             "min_interval_s": 5.0,
         }
-        config = _write(place / "mapper.toml", {"serve": serve, "tls": tls})
+        config = write_toml(place / "mapper.toml", {"serve": serve, "tls": tls})
         token = add_token(place / "tokens.json", name="operator", role=Role.OPERATOR).text
         page = Page(url=f"https://{address}:{_PAGE_PORT}", token=token, ca=Path(str(tls["ca"])))
         return self._service(host, ["mapper", "serve", "--config", str(config)]), page
@@ -147,7 +151,7 @@ class House:
         return self.out / f"{site.name}-swarm" / "truth"
 
     def _tls(self, who: str) -> dict[str, object]:
-        return _as_table(self._tables[who])
+        return as_table(self._tables[who])
 
     def _place(self, name: str) -> Path:
         place = self.out / name
@@ -159,11 +163,12 @@ class House:
         return Service(name=name, arguments=arguments, prefix=prefix, environment={}, log=self.out / name / "log")
 
 
-def _as_table(tls: TlsTable) -> dict[str, object]:
+def as_table(tls: TlsTable) -> dict[str, object]:
+    """Return a TLS table as a configuration file has it."""
     return {"ca": tls.ca, "certificate": tls.certificate, "key": tls.key}
 
 
-def _write(path: Path, tables: dict[str, dict[str, object]]) -> Path:
+def write_toml(path: Path, tables: dict[str, dict[str, object]]) -> Path:
     """Write a TOML file; a table without a name is the top of it."""
     lines = []
     for table, values in tables.items():
