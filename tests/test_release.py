@@ -19,6 +19,7 @@ import simulator.__main__
 from scripts.release.bundle import pack
 from scripts.release.elf import libraries_of, wheel_faults
 from scripts.release.lock_file import MACHINES, PYTHONS, Pin, Target, pins_for, read_lock
+from scripts.release.machines import Machine, MachineError
 from scripts.release.sbom import NOT_SHIPPED, REQUIRED, make_sbom
 from scripts.release.version import ROOT, read_version
 from tests.mapper.worlds import NS, walk_track
@@ -147,6 +148,19 @@ def test_packing_the_same_folder_twice_makes_the_same_octets(tmp_path: Path) -> 
     os.utime(tree / "a.txt", (1, 1))
     pack(tree, tmp_path / "two.tar")
     assert (tmp_path / "one.tar").read_bytes() == (tmp_path / "two.tar").read_bytes()
+
+
+def test_where_a_release_is_tried_there_is_no_network_but_loopback() -> None:
+    machine = Machine(program=sys.executable, python=HERE.split("-")[0], processor=platform.machine())
+    try:
+        usable = subprocess.run(machine.command("true"), capture_output=True, text=True, check=False)
+    except (MachineError, FileNotFoundError) as error:
+        pytest.skip(f"network namespaces cannot be made here: {error}")
+    if usable.returncode != 0:
+        pytest.skip(f"network namespaces cannot be made here: {usable.stderr}")
+    look = "from scripts.release.inside import expect_no_network; expect_no_network()"
+    done = subprocess.run(machine.command(sys.executable, "-c", look), cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.fixture
