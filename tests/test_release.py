@@ -151,7 +151,7 @@ def test_packing_the_same_folder_twice_makes_the_same_octets(tmp_path: Path) -> 
 
 
 def test_where_a_release_is_tried_there_is_no_network_but_loopback() -> None:
-    machine = Machine(program=sys.executable, python=HERE.split("-")[0], processor=platform.machine())
+    machine = Machine(program=sys.executable, python=HERE.split("-", maxsplit=1)[0], processor=platform.machine())
     try:
         usable = subprocess.run(machine.command("true"), capture_output=True, text=True, check=False)
     except (MachineError, FileNotFoundError) as error:
