@@ -155,6 +155,9 @@ firmware-image: venv  ## build the coordinator firmware for an emulated board an
 fuzz-c: venv  ## throw inputs at the C side under sanitizers (needs clang; half a minute; ARGS="--inputs 10000000" for the campaign)
 	$(PY) scripts/fuzz_c.py $(ARGS)
 
+pictures: venv  ## make the pictures of the documents anew (minutes; wants Chromium: make system-packages; ARGS="--only-drawn")
+	$(PY) -m studies.pictures $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
