@@ -26,6 +26,9 @@ demo: venv  ## insects walk, a gateway listens, a mapper draws; the map opens in
 test: venv  ## run the tests (ARGS="-k name")
 	$(PY) -m pytest --numprocesses=2 --dist=loadgroup $(ARGS)
 
+story: venv  ## an operator's whole story at the page, over real processes, with pictures of each step in artifacts/ (minutes)
+	$(PY) -m pytest -n0 -m story tests/e2e/test_story.py $(ARGS)
+
 check: venv format-check lint types layers test  ## the gate: format, lint, types, layers, tests
 
 format:  ## write the format
