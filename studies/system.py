@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
 from mapper.access import Role, add_token
+from studies.ports import free_port
 
 _ValueT = TypeVar("_ValueT")
 
@@ -172,7 +172,7 @@ class RunningSystem:
             "--duration", str(settings.dispersion_s + settings.exploration_s), "--drain-s", str(settings.drain_s),
             "--out", str(self.truth_directory), "--ready-file", str(ready), *settings.simulator_args,
         ])  # fmt: skip
-        self.radio = self.wait_for(lambda: ready.read_text().strip() if ready.exists() else None, what="simulator ready", timeout_s=60)
+        self.radio = self.wait_for(lambda: ready.read_text().strip() if ready.exists() else None, what="simulator ready", timeout_s=120)
         self.start_process("gateway", self.gateway_arguments())
         self.start_mapper()
 
@@ -188,7 +188,7 @@ class RunningSystem:
             "--port", str(settings.http_port), "--url-file", str(url_file), "--tokens", str(tokens), *settings.mapper_args,
         ])  # fmt: skip
         self.url = self.wait_for(
-            lambda: url_file.read_text().strip() if url_file.exists() else None, what="mapper ready", timeout_s=60
+            lambda: url_file.read_text().strip() if url_file.exists() else None, what="mapper ready", timeout_s=120
         ).rstrip("/")
 
     def _asking(self, path: str, *, body: Mapping[str, object] | None = None) -> urllib.request.Request:
@@ -201,14 +201,6 @@ class RunningSystem:
     def _request(self, request: urllib.request.Request) -> Any:
         with urllib.request.urlopen(request, timeout=60) as answer:
             return json.loads(answer.read())
-
-
-def free_port() -> int:
-    """Return a TCP port on the loopback interface that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 def _environment() -> dict[str, str]:

@@ -15,9 +15,10 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from studies.system import RunningSystem, SystemSettings
-from tests.mapper.browser_side import CHROMIUM, DESK, PHONE, accessibility_faults, fits_its_width, launched, opened, picture
+from tests.mapper.browser_side import CHROMIUM, DESK, PHONE, WAIT_MS, accessibility_faults, fits_its_width, launched, opened, picture
 
 pytestmark = [
+    pytest.mark.e2e,
     pytest.mark.story,
     pytest.mark.browser,
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the PATH; apt-get install chromium"),
@@ -98,7 +99,7 @@ def test_an_operator_from_the_first_glance_to_the_files_taken_home(browser: Brow
             for chapter in (names_three_places, slides_back, takes_files_home):
                 chapter(story)
     finally:
-        expect.set_options(timeout=5000)
+        expect.set_options(timeout=WAIT_MS)
 
 
 def looks_and_signs_in(story: Story) -> None:

@@ -1,7 +1,6 @@
 """A gateway as the mapper sees it: real Zenoh on loopback, a journal in memory, and commands answered by a rule of the test."""
 
 import json
-import socket
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -41,13 +40,6 @@ S = 1_000_000_000
 
 DEADLINE_NS = 2_000_000_000_000_000_000
 Answer = Callable[[StimulationRequest], Iterable[Stage]]
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def encounter(

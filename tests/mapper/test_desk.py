@@ -19,6 +19,7 @@ from firmware_protocol.contract.mission_orders import MissionAction
 from firmware_protocol.contract.records import Cause, MissionPhase, Mode
 from firmware_protocol.units import EVERYBODY
 from mapper.access import Role, add_token, revoke_token
+from studies.ports import free_port
 from tests.mapper.browser_side import (
     CHROMIUM,
     DESK,
@@ -33,7 +34,7 @@ from tests.mapper.browser_side import (
     tab_to,
     until,
 )
-from tests.mapper.fake_gateway import FakeGateway, account, free_port, mission
+from tests.mapper.fake_gateway import FakeGateway, account, mission
 from tests.mapper.serving import serving, shown, token_of
 
 pytestmark = [
@@ -177,7 +178,7 @@ def test_a_token_that_is_revoked_meanwhile_is_asked_for_again(site: Site) -> Non
         revoke_token(tokens, token_id=token_id, keeps_admin=False)
         page.get_by_role("button", name="Stop biobot 1", exact=True).click()
         # The mapper looks at the file once a second: a stop that is quicker passes, and the page learns of it when its stream ends.
-        expect(page.locator("#sign-in-fault")).to_have_text("The token is not valid any more. Sign in again.", timeout=40_000)
+        expect(page.locator("#sign-in-fault")).to_have_text("The token is not valid any more. Sign in again.")
         expect(page.locator("#account-open")).to_have_text("Sign in")
         expect(page.get_by_role("button", name="Stop biobot 1", exact=True)).to_be_disabled()
         page.get_by_label("Token", exact=True).fill(site.token(Role.OPERATOR))
@@ -226,7 +227,7 @@ def test_the_table_says_who_is_lost_and_finds_and_sorts(site: Site, operator: Wa
     expect(page.locator("#rows tr:visible")).to_have_count(1)
     expect(page.locator("#shown")).to_have_text(f"1 of {N_BIOBOTS}")
     page.get_by_label("Only").select_option("low")
-    expect(page.locator("#rows tr:visible")).to_have_count(1 + len(ALSO_LOW), timeout=WAIT_MS)
+    expect(page.locator("#rows tr:visible")).to_have_count(1 + len(ALSO_LOW))
     expect(row(page, LOW)).to_be_visible()
     page.get_by_label("Only").select_option("")
     page.get_by_label("Find biobots", exact=True).fill("gateway1 walk")
@@ -482,7 +483,7 @@ def test_a_page_shows_nothing_without_a_token_where_nobody_may_and_says_since_wh
         page.get_by_role("button", name="Stop all").click()
         expect(page.get_by_role("alert")).to_contain_text("NOT stopped. The mapper does not answer")
         with serving(tmp_path, connect=free_port(), arguments=arguments):
-            expect(page.locator("#link")).to_have_text("no gateway yet", timeout=WAIT_MS)
+            expect(page.locator("#link")).to_have_text("no gateway yet")
             expect(page.locator("#banner")).to_be_hidden()
             expect(page.locator("#account-open")).to_have_text("anna · operator")
 
