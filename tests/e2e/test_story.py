@@ -6,7 +6,6 @@ Nothing is asserted of how long anything takes, and what may pass quickly is col
 
 import csv
 import json
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -242,7 +241,8 @@ def names_three_places(story: Story) -> None:
 
 def slides_back(story: Story) -> None:
     page = story.page
-    when = page.locator("#time-text")
+    when, holes = page.locator("#time-text"), page.locator("#holes")
+    newest = holes.inner_text()
     page.locator("#time").focus()
     page.keyboard.press("Home")
     expect(when).to_contain_text("Since then")
@@ -251,7 +251,7 @@ def slides_back(story: Story) -> None:
     expect(page.locator("#go-live")).to_have_attribute("aria-pressed", "false")
     page.get_by_role("button", name="Live", exact=True).click()
     expect(when).to_contain_text("Live")
-    expect(page.locator("#holes")).to_have_text("2")
+    expect(holes).to_have_text(newest)
 
 
 def takes_files_home(story: Story) -> None:
@@ -259,14 +259,14 @@ def takes_files_home(story: Story) -> None:
     page.get_by_role("button", name="Save", exact=True).click()
     document = json.loads(_saved(page, "map as GeoJSON"))
     kinds = [feature["properties"]["kind"] for feature in document["features"]]
-    assert kinds.count("hole") == 2
+    assert kinds.count("hole") == story.system.get("/api/v1/map")["betti_numbers"][1] >= 1
     assert {"landmark", "pin"} <= set(kinds)
     assert _saved(page, "map as PNG").startswith(b"\x89PNG\r\n\x1a\n")
     rows = list(csv.DictReader(_saved(page, "encounters as CSV").decode().splitlines()))
     assert len(rows) >= N_SETTLED
     assert all(float(row["t_start_s"]) <= float(row["t_end_s"]) for row in rows)
     report = _saved(page, "mission report as HTML to print").decode()
-    for words in ("<html", "2 holes", "door", "exploration", "operator", "stop all"):
+    for words in ("<html", "door", "exploration", "operator", "stop all"):
         assert words in report, words
     expect(page.locator("#export-outcome")).to_contain_text("report.html is saved")
     story.keep_everywhere("saved")
@@ -289,8 +289,6 @@ def _saved(page: Page, what: str) -> bytes:
 
 
 def _is_settled(system: RunningSystem) -> bool:
-    """Say whether the newest map is of all there is, and nothing more has come for a while."""
-    before = system.get("/api/v1/map/status")
-    time.sleep(1)
-    after = system.get("/api/v1/map/status")
-    return all(one["n_waiting"] == 0 and not one["is_computing"] for one in (before, after)) and after["n_known"] == before["n_known"]
+    """Say whether the newest map is of all encounters there are."""
+    status = system.get("/api/v1/map/status")
+    return bool(status["n_encounters"] + status["n_before"] == status["n_known"])
