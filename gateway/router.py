@@ -65,15 +65,16 @@ class Router:
             An endpoint cannot be listened on, or is none; the roster is unfit.
         """
         self._open(self._read_roster())
-        _log.info(
-            "router.started",
-            listen=", ".join(self._config.listen),
-            connect=", ".join(self._config.connect),
-            members=len(self._members) if self._config.roster is not None else "anybody",
-        )
-        self._warn_of_open_doors()
-        self._manager.ready()
+        # From here on the session is closed whatever happens: the process of an open one does not end.
         try:
+            _log.info(
+                "router.started",
+                listen=", ".join(self._config.listen),
+                connect=", ".join(self._config.connect),
+                members=len(self._members) if self._config.roster is not None else "anybody",
+            )
+            self._warn_of_open_doors()
+            self._manager.ready()
             while (happening := self._next()) is not _Order.STOP:
                 if happening is _Order.RELOAD:
                     self._reload()

@@ -109,7 +109,7 @@ def help_text(module: str, command: str | None) -> str:
 def list_commands(module: str, command: str = "") -> Iterator[str]:
     """Yield every command of a program that its help names, and theirs."""
     named = help_text(module, command).partition("positional arguments:\n")[2].partition("\noptions:")[0]
-    for name in re.findall(r"^    ([a-z][a-z-]*)  +\S", named, re.MULTILINE):
+    for name in re.findall(r"^    ([a-z][a-z-]*)(?:  +\S|$)", named, re.MULTILINE):
         whole = f"{command} {name}".strip()
         yield whole
         yield from list_commands(module, whole)

@@ -116,7 +116,7 @@ def _start_all(run: _Upgrade) -> None:
         if name not in run.was_running and (name in known or _is_held_up(run, name, obstacles)):
             continue
         if not _comes_up(run, name):
-            words = " | ".join(run.machine.last_words(service))
+            words = run.machine.last_words(service)
             if not run.is_upgrade:
                 reason = f"did not come up: {words}"
                 raise InstallationError(what=service.unit, reason=reason, next_step=f"correct it, then: systemctl restart {service.unit}")

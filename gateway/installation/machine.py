@@ -14,7 +14,7 @@ from gateway.installation.layout import COMMENT, DATA, SERVICES, SYSUSERS, USER,
 _BOOTED = Path("/run/systemd/system")
 """There where systemd runs (sd_booted(3))."""
 
-_N_LINES = 8
+_N_LINES = 4
 """Last lines of a service's log that are told when it does not come up."""
 
 
@@ -91,10 +91,11 @@ class Machine:
         """Start a service and wait until it says that it serves; returns whether it did."""
         return subprocess.run(("systemctl", "restart", service.unit), check=False, capture_output=True).returncode == 0
 
-    def last_words(self, service: Service) -> list[str]:
-        """Return the end of the service's log."""
-        command = ("journalctl", f"--unit={service.unit}", f"--lines={_N_LINES}", "--output=cat", "--no-pager")
-        return subprocess.run(command, check=False, capture_output=True, text=True).stdout.splitlines()
+    def last_words(self, service: Service) -> str:
+        """Return how the service ended, and the last lines that it said itself."""
+        asked = (f"_SYSTEMD_UNIT={service.unit}", f"--lines={_N_LINES}", "--output=cat", "--no-pager")
+        said = subprocess.run(("journalctl", *asked), check=False, capture_output=True, text=True).stdout
+        return " | ".join([self.show(service, "Result"), *(line.strip() for line in said.splitlines())])
 
     def problems_of(self, service: Service, *, programs: Path) -> list[str]:
         """Return what a service's program finds wrong with its configuration, asked as the service's user in the service's folder."""
