@@ -30,6 +30,9 @@ test: venv  ## run the tests (ARGS="-k name")
 test-campaigns: venv  ## run the tests that are studies in small, which `make test` leaves out (minutes; docs/testing.md)
 	$(PY) -m pytest --numprocesses=2 --dist=loadgroup -m campaign $(ARGS)
 
+story: venv  ## an operator's whole story at the page, over real processes, with pictures of each step in artifacts/ (minutes)
+	$(PY) -m pytest -n0 -m story tests/e2e/test_story.py $(ARGS)
+
 check: venv format-check lint types layers test  ## the gate: format, lint, types, layers, tests
 
 format:  ## write the format

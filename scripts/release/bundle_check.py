@@ -35,7 +35,7 @@ def _try_one(machine: Machine, folder: Path, *, speed: str | None) -> bool:
     if speed is not None and machine.processor != platform.machine():
         print("  the demo is left out: it walks in real time, which an emulator does not keep")
         speed = None
-    return run_inside(machine, "bundle", folder, *([] if speed is None else [speed]), is_cut_off=True)
+    return run_inside(machine, "bundle", folder, *([] if speed is None else [speed]))
 
 
 if __name__ == "__main__":

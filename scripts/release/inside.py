@@ -27,7 +27,7 @@ def main() -> int:
         if kind == "bundle":
             install_bundle(Path(bundle), Path(work), program, speed=rest[0] if rest else None)
         else:
-            install_distribution(Path(bundle), Path(work), program, Path(rest[0]))
+            install_files(Path(bundle), Path(work), program, [Path(name) for name in rest])
     except StepError as error:
         print(json.dumps({"failed": str(error)}), flush=True)
         return 1
@@ -46,8 +46,8 @@ def install_bundle(bundle: Path, work: Path, program: str, *, speed: str | None)
         run_demo(environment / "bin", work, speed=speed)
 
 
-def install_distribution(bundle: Path, work: Path, program: str, distribution: Path) -> None:
-    """Install a wheel, or an sdist, which is compiled then, with the dependencies that are pinned, and map."""
+def install_files(bundle: Path, work: Path, program: str, files: list[Path]) -> None:
+    """Install a wheel and then an sdist, which is compiled, with the dependencies that are pinned, and map with each."""
     environment = work / "environment"
     python = environment / "bin" / "python"
     step("environment", [program, "-m", "venv", "--without-pip", str(environment)])
@@ -56,17 +56,26 @@ def install_distribution(bundle: Path, work: Path, program: str, distribution: P
     needed = work / "needed.txt"
     needed.write_text("".join(line for line in lines if not line.startswith("biobot-gateway==")))
     (pip,) = (bundle / "wheels").glob("pip-*.whl")
-    install = [str(python), "-m", "pip", "install", "--quiet", "--no-index", "--no-cache-dir", f"--find-links={bundle}/wheels"]
+    # Nothing is compiled to bytecode ahead: that is most of the time, and no part of what is tried.
+    install = [
+        str(python),
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-index",
+        "--no-cache-dir",
+        "--no-compile",
+        f"--find-links={bundle}/wheels",
+    ]
     variables = {"PYTHONPATH": str(pip), "PIP_CONFIG_FILE": os.devnull, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
     step("dependencies", [*install, "--no-deps", "--require-hashes", f"--requirement={needed}"], variables=variables)
-    if distribution.suffix == ".whl":
-        step(distribution.name, [*install, "--no-deps", str(distribution)], variables=variables)
-    else:
-        tools = distribution.parent / "build-tools"
-        step("build tools", [*install, f"--find-links={tools}", "hatchling", "editables"], variables=variables)
-        step(distribution.name, [*install, "--no-deps", "--no-build-isolation", str(distribution)], variables=variables)
-    step("pip check", [str(python), "-m", "pip", "check"])
-    map_a_recording(environment / "bin", work)
+    for file in files:
+        if not file.name.endswith(".whl"):
+            step("build tools", [*install, f"--find-links={bundle}/build-tools", "hatchling", "editables"], variables=variables)
+        step(file.name, [*install, "--no-deps", "--no-build-isolation", "--force-reinstall", str(file)], variables=variables)
+        step("pip check", [str(python), "-m", "pip", "check"])
+        map_a_recording(environment / "bin", work / file.suffix)
 
 
 _ASK = "import os, sys; print('%d.%d-%s' % (*sys.version_info[:2], os.uname().machine))"
@@ -88,6 +97,7 @@ def expect_no_network() -> None:
 
 def map_a_recording(programs: Path, work: Path) -> None:
     """Let insects walk among two obstacles, and map their encounters: two holes have to be found, with the compiled kernels."""
+    work.mkdir(exist_ok=True)
     run, map_file = work / "run", work / "map.json"
     for name in ("biobot-gateway", "biobot-mapper", "biobot-sim"):
         step(f"{name} --version", [str(programs / name), "--version"])

@@ -58,9 +58,9 @@ class Machine:
         """Return where a process on that machine may have files."""
         return Path(os.environ.get("TMPDIR", "/tmp")) if self.root is None else self.root / "tmp"  # noqa: S108  # a folder of its own is made in it
 
-    def command(self, *arguments: str, is_cut_off: bool) -> list[str]:
-        """Return the command that runs ``arguments`` there, with no network but loopback where ``is_cut_off``."""
-        return _enter(self.root, self.processor, list(arguments), is_cut_off=is_cut_off)
+    def command(self, *arguments: str) -> list[str]:
+        """Return the command that runs ``arguments`` there, with no network but loopback."""
+        return _enter(self.root, self.processor, list(arguments))
 
 
 def find_machines(trees: list[Path]) -> tuple[list[Machine], list[str]]:
@@ -81,7 +81,7 @@ def find_machines(trees: list[Path]) -> tuple[list[Machine], list[str]]:
         number = int.from_bytes((root / program[1:]).read_bytes()[18:20], "little")
         processor = {62: "x86_64", 183: "aarch64"}.get(number, f"ELF machine {number}")
         try:
-            _enter(root, processor, [], is_cut_off=True)
+            _enter(root, processor, [])
         except MachineError as error:
             missing.append(f"{root}: {error}")
             continue
@@ -102,17 +102,13 @@ def _expand(pattern: str) -> list[str]:
     return sorted(map(str, base.glob(str(path.relative_to(base)))))
 
 
-def _enter(root: Path | None, processor: str, command: list[str], *, is_cut_off: bool) -> list[str]:
-    steps, flags = [], []
-    if is_cut_off:
-        if shutil.which("ip") is None:
-            raise MachineError("no ip here, which is in iproute2")
-        flags.append("--net")
-        steps.append("ip link set lo up")
+def _enter(root: Path | None, processor: str, command: list[str]) -> list[str]:
+    if shutil.which("ip") is None:
+        raise MachineError("no ip here, which is in iproute2")
+    flags, steps, run = ["--net"], ["ip link set lo up"], 'exec "$@"'
     if root is None:
         if os.getuid() != 0:
             flags.append("--map-root-user")
-        run = 'exec "$@"'
     else:
         if os.getuid() != 0:
             raise MachineError("only root can enter a system tree")
@@ -130,6 +126,4 @@ def _enter(root: Path | None, processor: str, command: list[str], *, is_cut_off:
             ]
         steps += [f"mount --rbind /dev {there}/dev", f"mount --rbind /proc {there}/proc"]
         run = f'exec chroot {there} /usr/bin/env -i PATH=/usr/bin:/bin HOME=/tmp LANG=C.UTF-8 "$@"'
-    if not flags:
-        return command
     return ["unshare", *flags, "sh", "-c", " && ".join([*steps, run]), "sh", *command]

@@ -53,12 +53,12 @@ def try_machines(trial: Trial, *, bundle: Path, trees: list[Path], only: list[st
     return 0 if n_tried and not n_failed else 1
 
 
-def run_inside(machine: Machine, kind: str, folder: Path, *more: str, is_cut_off: bool) -> bool:
-    """Take the steps of inside.py on a machine, and print them as they are done."""
+def run_inside(machine: Machine, kind: str, folder: Path, *more: str) -> bool:
+    """Take the steps of inside.py on a machine whose network is cut off, and print them as they are done."""
     with tempfile.TemporaryDirectory(dir=folder.parent) as place:
         inside = shutil.copy(_INSIDE, place)
         told = (machine.place(Path(inside)), kind, machine.place(folder), machine.place(Path(place)), machine.program)
-        command = machine.command(machine.program, *told, *more, is_cut_off=is_cut_off)
+        command = machine.command(machine.program, *told, *more)
         has_failed = False
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None

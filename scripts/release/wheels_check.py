@@ -41,7 +41,7 @@ def _try_both(machine: Machine, folder: Path, *, tools: Path) -> bool:
     shutil.copytree(tools, folder / "build-tools")
     wheel = next((folder / "wheels").glob(f"biobot_gateway-*_{machine.processor}.whl"))
     sdist = next(folder.glob("biobot_gateway-*.tar.gz"))
-    return not [path for path in (wheel, sdist) if not run_inside(machine, "wheel", folder, machine.place(path), is_cut_off=False)]
+    return run_inside(machine, "files", folder, machine.place(wheel), machine.place(sdist))
 
 
 if __name__ == "__main__":
