@@ -227,7 +227,7 @@ def names_three_places(story: Story) -> None:
         page.locator("#pin-x").fill(str(x))
         page.locator("#pin-y").fill(str(y))
         page.get_by_role("button", name="Name it").click()
-        expect(page.locator(".pins")).to_contain_text(name)
+        expect(page.locator("#places-outcome")).to_have_text(f"{name} is on the map.")
     expect(page.locator("#pins-frame")).to_contain_text("in your frame")
     expect(page.locator("#orientation")).to_contain_text("in your frame")
     page.locator("#route-from").select_option("pin:door")
