@@ -113,7 +113,7 @@ export class PlacesPanel {
     await this.attempt(async () => {
       await this.onPut({ name, place, x, y });
       // Who is quick has begun to write the next one meanwhile: that stays.
-      if (sent.every(([input, value]) => input.value === value)) sent.forEach(([input]) => (input.value = ""));
+      sent.filter(([input, value]) => input.value === value).forEach(([input]) => (input.value = ""));
       this.takeSpot(null);
       return `${name} is on the map.`;
     });
