@@ -30,6 +30,9 @@ test: venv  ## run the tests (ARGS="-k name")
 test-campaigns: venv  ## run the tests that are studies in small, which `make test` leaves out (minutes; docs/testing.md)
 	$(PY) -m pytest --numprocesses=2 --dist=loadgroup -m campaign $(ARGS)
 
+story: venv  ## an operator's whole story at the page, over real processes, with pictures of each step in artifacts/ (minutes)
+	$(PY) -m pytest -n0 -m story tests/e2e/test_story.py $(ARGS)
+
 check: venv format-check lint types layers test  ## the gate: format, lint, types, layers, tests
 
 format:  ## write the format
@@ -155,6 +158,9 @@ firmware-image: venv  ## build the coordinator firmware for an emulated board an
 fuzz-c: venv  ## throw inputs at the C side under sanitizers (needs clang; half a minute; ARGS="--inputs 10000000" for the campaign)
 	$(PY) scripts/fuzz_c.py $(ARGS)
 
+pictures: venv  ## make the pictures of the documents anew (minutes; wants Chromium: make system-packages; ARGS="--only-drawn")
+	$(PY) -m studies.pictures $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
@@ -179,6 +185,21 @@ install-check: venv  ## install, upgrade, break and remove the services on a mac
 
 deploy-check: venv  ## check the systemd units and udev rules with systemd's own tools
 	$(PY) scripts/deploy_check.py
+
+sbom: venv  ## write the bill of materials, CycloneDX (dist/biobot-VERSION.cdx.json; ARGS="--shipped")
+	$(PY) -m scripts.release.sbom $(ARGS)
+
+bundle: venv  ## make the archive that installs where there is no network (docs/bundle.md; minutes; ARGS="--python 3.11 --machine aarch64")
+	$(PY) -m scripts.release.bundle $(ARGS)
+
+bundle-check: venv  ## install dist's bundle without a network, map and run the demo, for each Python here (minutes; ARGS="--tree build/trees/debian-14")
+	$(PY) -m scripts.release.bundle_check $(ARGS)
+
+wheels-check: venv  ## install wheel and sdist into bare environments, and map, for each Python here (minutes; docs/releasing.md)
+	$(PY) -m scripts.release.wheels_check $(ARGS)
+
+formats: venv  ## keep the files that this version leaves behind, for tests of later ones (once a release; docs/formats.md)
+	$(PY) -m scripts.release.freeze_formats $(ARGS)
 
 clean:  ## remove what the other targets made
 	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out campaign-out bench-live-out rest-speed-out sites-out bench-gateway-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

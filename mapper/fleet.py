@@ -17,6 +17,7 @@ _MAX_BIOBOTS = 65_536
 _MAX_GATEWAYS = 1_024
 _MAX_RADIOS = 256
 _KEPT_EVENTS = 200
+_KEPT_STOPS = 64
 _HALTED_FROM_NS, _HALTED_TO_NS = -1_000_000_000, 30_000_000_000
 """A biobot that a stop of all halts stands from about that moment on, or when one of its repetitions has come; the clocks of backpacks are
 fitted."""
@@ -88,8 +89,8 @@ class Fleet:
     _nodes: dict[NodeId, NodeStatus] = field(default_factory=dict)
     _modes: dict[NodeId, ModeRecord] = field(default_factory=dict)
     _hearers: dict[NodeId, dict[str, None]] = field(default_factory=dict)
-    _all_stopped_ns: dict[str, int] = field(default_factory=dict)
-    """By gateway when it last stopped all, on its wall clock."""
+    _all_stopped_ns: dict[str, deque[int]] = field(default_factory=dict)
+    """By gateway when it stopped all, on its wall clock: who stops all twice halts nobody anew the second time."""
     _stopped_ns: dict[NodeId, int] = field(default_factory=dict)
     """By biobot when it was last told to stop by itself, on the wall clock of the gateway that told it."""
     _neighbours: dict[NodeId, NeighbourReport] = field(default_factory=dict)
@@ -141,7 +142,7 @@ class Fleet:
         if stage.stage is not Stage.ACCEPTED or stage.gateway not in self._gateways:
             return
         if stage.action is StimulationAction.STOP_ALL:
-            self._all_stopped_ns[stage.gateway] = stage.wall_ns
+            self._all_stopped_ns.setdefault(stage.gateway, deque(maxlen=_KEPT_STOPS)).append(stage.wall_ns)
         elif stage.action is StimulationAction.STOP and not stage.part_of:
             self._put(self._stopped_ns, stage.node, stage.wall_ns)
 
@@ -231,12 +232,13 @@ class Fleet:
 
     def _is_halted(self, node: NodeId) -> bool:
         spell = self._modes.get(node)
-        stopped_ns = None if spell is None else self._all_stopped_ns.get(spell.gateway)
-        if spell is None or stopped_ns is None or spell.mode is not Mode.S or spell.cause is not Cause.COMMAND:
+        if spell is None or spell.mode is not Mode.S or spell.cause is not Cause.COMMAND:
             return False
-        if self._stopped_ns.get(node, stopped_ns) > stopped_ns:
-            return False
-        return _HALTED_FROM_NS <= spell.t_start_ns + spell.wall_anchor_ns - stopped_ns <= _HALTED_TO_NS
+        began_ns, alone_ns = spell.t_start_ns + spell.wall_anchor_ns, self._stopped_ns.get(node)
+        return any(
+            _HALTED_FROM_NS <= began_ns - stopped_ns <= _HALTED_TO_NS and (alone_ns is None or alone_ns <= stopped_ns)
+            for stopped_ns in self._all_stopped_ns.get(spell.gateway, ())
+        )
 
     def _silence_s(self, status: NodeStatus, now_ns: int) -> float | None:
         home = self._gateways.get(status.gateway)

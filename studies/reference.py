@@ -89,6 +89,7 @@ VARIABLES: dict[str, tuple[str, str]] = {
         "compiler of kernels and engine at installation, and of the tools of the C side; default: cc, gcc or clang, whichever is there",
     ),
     "USER": ("a name", "who commands, where `--operator` does not say; default `operator`"),
+    "PATH": ("folders", "where programs of the system are looked for: `systemctl`, `udevadm` and their like by `install-service`"),
     "NO_COLOR": ("anything", "no colours in the terminal"),
     "TERM": ("a name", "`dumb`: nothing is drawn in the terminal"),
     "NOTIFY_SOCKET": ("set by systemd", "where a service says that it is ready and alive"),

@@ -46,6 +46,8 @@ class SystemSettings:
     drain_s: float = 10.0
     link: str = "pty"
     """``pty``, ``tcp`` or ``slcan`` with options, such as ``slcan?fd=1``: what stands between simulator and gateway."""
+    begins_by_itself: bool = True
+    """The mission begins when biobots are heard; False: when somebody orders it."""
     http_port: int = 0
     simulator_args: tuple[str, ...] = ()
     gateway_args: tuple[str, ...] = ()
@@ -98,9 +100,10 @@ class RunningSystem:
     def gateway_arguments(self) -> list[str]:
         """Return the arguments that start the gateway, so that a test can start it again."""
         settings = self.settings
+        mission = ["--mission"] if settings.begins_by_itself else []
         return [
             "gateway", "run", "--port", self.radio, "--journal", str(settings.out / "gateway.sqlite"), "--listen", self.bus_endpoint,
-            "--mission", "--dispersion-s", str(settings.dispersion_s), "--landmarks", str(settings.n_landmarks), *settings.gateway_args,
+            *mission, "--dispersion-s", str(settings.dispersion_s), "--landmarks", str(settings.n_landmarks), *settings.gateway_args,
         ]  # fmt: skip
 
     def get(self, path: str) -> Any:

@@ -6,6 +6,7 @@ records and the process; the map's are in ``map_routes``, ``picture_routes`` and
 
 import time
 from http import HTTPStatus
+from importlib.metadata import version
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Query, Request, Response
@@ -126,6 +127,7 @@ def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream
         return json_response(
             {
                 "status": "degraded" if faults else "ok",
+                "software": version("biobot-gateway"),
                 "wall_ns": time.time_ns(),
                 "n_encounters": status.n_known,
                 "map_version": status.snapshot.version if status.snapshot else None,

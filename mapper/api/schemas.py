@@ -346,6 +346,7 @@ class HealthView(AnswerModel):
     """The process answers; counters since its start."""
 
     status: Literal["ok", "degraded"] = Field(description="degraded: it answers, but there are faults")
+    software: str = Field(description="Version of the program")
     wall_ns: int
     n_encounters: int
     map_version: int | None

@@ -26,17 +26,22 @@ const PULSE = [
 const WAVEFORMS = ["symmetric", "asymmetric", "monophasic"];
 
 export class BiobotPanel {
-  /** `onCommand(row, {action, label, more, tell})` gives a command and is done at its end. */
-  constructor({ account, live, onCommand }) {
+  /** `onCommand(row, {action, label, more, tell})` gives a command and is done at its end; `onPlace(place)` shows where it was. */
+  constructor({ account, live, onCommand, onPlace }) {
     Object.assign(this, { account, live, onCommand });
     this.row = null;
     this.title = make("h2", { id: "biobot-title", tabIndex: -1, "data-first": "" });
     const close = makeButton("Close", () => {}, { "data-close": "" });
     this.facts = make("dl", { className: "facts" });
+    const place = makeButton("Where it met somebody last", () => {
+      const { key } = this.row;
+      this.panel.close();  // on a phone it lies over the map
+      onPlace(`biobot:${key}`);
+    });
     this.care = make("dl", { className: "facts" });
     this.outcome = make("p", { id: "biobot-outcome", className: "outcome", role: "status" });
     this.element = make("section", { id: "biobot-panel", className: "panel", role: "dialog", "aria-labelledby": "biobot-title", hidden: true },
-      make("div", { className: "panel-head" }, this.title, close), this.facts, make("h3", {}, "Stimulation"), this.care, make("h3", {}, "Command"), this.makeForm(), this.outcome);
+      make("div", { className: "panel-head" }, this.title, close), this.facts, place, make("h3", {}, "Stimulation"), this.care, make("h3", {}, "Command"), this.makeForm(), this.outcome);
     document.getElementById("help").after(this.element);
     this.panel = new Panel({ panel: this.element, onClose: () => this.leave() });
   }

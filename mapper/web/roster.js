@@ -10,15 +10,15 @@ import { COLUMNS, RosterRow } from "./roster_row.js";
 const element = (id) => document.getElementById(id);
 
 export class Roster {
-  constructor({ account, live, onCounts, onLandmark }) {
-    Object.assign(this, { account, live, onCounts, onLandmark });
+  constructor({ account, live, onCounts, onPlace }) {
+    Object.assign(this, { account, live, onCounts, onPlace });
     this.rows = new Map();
     this.rates = new Map();
     this.low = new Set();
     this.sorted = { column: "id", isDown: false };
     this.reachable = null;
     this.body = element("rows");
-    this.panel = new BiobotPanel({ account, live, onCommand: (row, command) => this.command(row, command) });
+    this.panel = new BiobotPanel({ account, live, onCommand: (row, command) => this.command(row, command), onPlace });
     this.makeHead();
     element("filter").addEventListener("input", () => this.arrange());
     element("only").addEventListener("change", () => this.arrange());
@@ -61,6 +61,14 @@ export class Roster {
 
   update(row, biobot, nowS) {
     row.update(biobot, { nowS, rate: this.rates.get(row.key) ?? null, isLow: this.low.has(row.key) });
+  }
+
+  /** Show those of a kind alone ("": all). */
+  showOnly(kind) {
+    element("only").value = kind;
+    element("filter").value = "";
+    this.arrange();
+    element("only").focus();
   }
 
   /** Show one biobot alone, and give its row the focus. */
@@ -144,7 +152,7 @@ export class Roster {
   addRow(key) {
     const onCommand = (row, action, label) => this.command(row, { action, label });
     const onMore = (row, opener) => this.panel.open(row, opener);
-    const row = new RosterRow({ key, onCommand, onMore, onLandmark: this.onLandmark, account: this.account });
+    const row = new RosterRow({ key, onCommand, onMore, onPlace: this.onPlace, account: this.account });
     this.rows.set(key, row);
     return row;
   }

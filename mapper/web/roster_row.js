@@ -24,7 +24,7 @@ const STEPS = ["sent", "accepted by the gateway", "sent by the radio", "confirme
 const LAST_STEP = 3;
 
 export class RosterRow {
-  constructor({ key, onCommand, onMore, onLandmark, account }) {
+  constructor({ key, onCommand, onMore, onPlace, account }) {
     this.key = key;
     this.account = account;
     this.biobot = null;
@@ -35,7 +35,7 @@ export class RosterRow {
       this.cells[name].append(span);
       return span;
     });
-    this.place = makeButton("landmark", () => onLandmark(key), { className: "mode landmark", tabIndex: -1, hidden: true, "aria-label": `landmark: show ${key} on the map` });
+    this.place = makeButton("landmark", () => onPlace(`landmark:${key}`), { className: "mode landmark", tabIndex: -1, hidden: true, "aria-label": `landmark: show ${key} on the map` });
     this.cells.mode.append(this.place);
     this.dbm = make("span", { className: "dbm" });
     this.link.append(this.dbm);

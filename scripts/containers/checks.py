@@ -65,7 +65,7 @@ def check_site(podman: Podman, say: Say) -> None:
         gateway = place / "gateway" / "gateway.toml"
         gateway.write_text(
             gateway.read_text(encoding="utf-8").replace('"serial:/dev/dongle?dialect=znp"', '"serial:/dev/dongle"')
-            + "\n[mission]\nis_enabled = true\ndispersion_s = 5.0\n",
+            + "\n[mission]\nis_enabled = true\ndispersion_s = 10.0\nn_landmarks = 20\n",
             encoding="utf-8",
         )
         override = podman.home / "site-dongle.yaml"
@@ -114,13 +114,16 @@ def _check_page(url: str, *, token: str, n_holes: int, ca: Path | None, say: Say
     if (refused := fetch(f"{url}/api/v1/map", ca=ca)[0]) != 401:
         raise CheckFailedError(f"{url}/api/v1/map without a token: {refused} in place of 401")
     started = time.monotonic()
+    last = ""
 
     def map_with_holes() -> dict[str, Any] | None:
+        nonlocal last
         status, body = fetch(f"{url}/api/v1/map", token=token, ca=ca)
+        last = f"the last answer: {status} {body[:300]!r}"
         document: dict[str, Any] | None = json.loads(body) if status == 200 else None
         return document if document is not None and document["betti_numbers"] == [1, n_holes] else None
 
-    document = until(map_with_holes, what=f"a map with {n_holes} holes", timeout_s=600)
+    document = until(map_with_holes, what=f"a map with {n_holes} holes", timeout_s=600, explain=lambda: last)
     took_s = time.monotonic() - started
     say(f"page, and a map with {n_holes} holes of {document['n_encounters']} encounters {took_s:.0f} s later")
     status, body = fetch(f"{url}/api/v1/stop", token=token, method="POST", ca=ca)

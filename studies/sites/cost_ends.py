@@ -1,7 +1,8 @@
 """The ends of `studies.sites.costs`: ``python -m studies.sites.cost_ends FILE``, in a process each.
 
 A publisher has a gateway's own journal and bus, and writes encounters of two sides at a steady rate once the file ``go`` is there. A
-subscriber has a mapper's own bus, intake and store on disk, without map and web server. Each notes how far it is in a file. FILE is JSON.
+subscriber has a mapper's own bus, intake and store on disk, without map and web server. Each notes how far it is in a file, a publisher
+also how far a mapper says to be. FILE is JSON.
 """
 
 import asyncio
@@ -61,7 +62,12 @@ async def publish(plan: EndPlan) -> None:
     journal.listen(bus.publish_records)
     async with asyncio.TaskGroup() as group:
         group.create_task(journal.run())
-        bus.start(on_command=lambda _request, _answer: None, open_reader=journal.reader, journal=journal.journal_id)
+        bus.start(
+            on_command=lambda _request, _answer: None,
+            open_reader=journal.reader,
+            journal=journal.journal_id,
+            on_watermark=lambda _mapper, offset: _write(Path(plan.told).with_suffix(".mark"), journal=journal.journal_id, done=offset),
+        )
         _tell(plan, journal=journal.journal_id, done=0)
         while not Path(plan.go).exists():  # noqa: ASYNC110, ASYNC240  # another process makes it
             await asyncio.sleep(_TURN_S)
@@ -136,9 +142,13 @@ async def subscribe(plan: EndPlan) -> None:
 
 
 def _tell(plan: EndPlan, *, journal: str, done: int) -> None:
-    unfinished = Path(plan.told).with_suffix(".part")
+    _write(Path(plan.told), journal=journal, done=done)
+
+
+def _write(path: Path, *, journal: str, done: int) -> None:
+    unfinished = path.with_name(f"{path.name}.part")
     unfinished.write_bytes(msgspec.json.encode((journal, done)))
-    unfinished.replace(plan.told)
+    unfinished.replace(path)
 
 
 def read_told(path: Path) -> tuple[str, int]:

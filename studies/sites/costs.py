@@ -26,10 +26,13 @@ from studies.sites.cost_ends import EndPlan, read_told
 from studies.sites.house import BUS_PORT, Registry, as_table, router_service, write_toml
 from studies.sites.wires import HALL, Cable, Wires, find_problem
 
+CASES: Final = ("standing", "slow", "fast", "three", "memory")
+
 _SITE: Final = "costs"
 _MAPPER: Final = "map1"
-_LIMIT_S: Final = 120.0
+_LIMIT_S: Final = 300.0
 _SETTLE_S: Final = 4.0
+_MANY: Final = 100_000
 _BETWEEN: Final[Cable] = ("r1", "r2")
 _THERE: Final[Cable] = ("m", "r2")
 
@@ -173,20 +176,7 @@ async def cost_of_records(out: Path, *, n_gateways: int, rate: float, lasts_s: f
     """Measure gateways' journals and buses, routers and a mapper's store: idle, then at a rate [records/s of each gateway]."""
     with open_bench(out, n_gateways=n_gateways) as bench:
         n_records = round(rate * lasts_s)
-        for name in bench.gateways:
-            plan = EndPlan(
-                role="publisher",
-                site=_SITE,
-                name=name,
-                endpoint=bench.endpoint((name, "r1")),
-                tls=bench.registry.known(f"{_SITE}/gateway/{name}"),
-                file=str(out / f"{name}.sqlite"),
-                told=str(out / f"{name}.told"),
-                rate=rate,
-                n_records=n_records,
-                go=str(out / "go"),
-            )
-            _start_end(bench, plan, host=name)
+        _start_publishers(bench, rate=rate, n_records=n_records)
         plan = EndPlan(
             role="subscriber",
             site=_SITE,
@@ -209,6 +199,52 @@ async def cost_of_records(out: Path, *, n_gateways: int, rate: float, lasts_s: f
         return [idle, replace(cost, files=files)]
 
 
+async def cost_of_memory(out: Path, *, n_records: int, rate: float) -> list[Cost]:
+    """Measure a real mapper before and after it has taken in many encounters."""
+    with open_bench(out, n_gateways=1) as bench:
+        _start_publishers(bench, rate=rate, n_records=n_records)
+        await _wait((out / "g1.told").exists, what="the publisher")
+        serve: dict[str, object] = {
+            "site": _SITE,
+            "name": _MAPPER,
+            "connect": [bench.endpoint(_THERE)],
+            "store": str(out / "store.sqlite"),
+            "port": 0,
+            "min_interval_s": 60.0,
+        }
+        tables = {"serve": serve, "tls": as_table(bench.registry.known(f"{_SITE}/mapper/{_MAPPER}"))}
+        arguments = ["mapper", "serve", "--config", str(write_toml(out / "m.toml", tables)), "--url-file", str(out / "url")]
+        bench.start(bench.service("mapper", arguments, host="m"))
+        await _wait((out / "url").exists, what="the mapper")
+        await asyncio.sleep(_SETTLE_S)
+        before = await bench.measure("a mapper with nothing", lasts_s=_SETTLE_S)
+        (out / "go").touch()
+
+        def stored() -> int:
+            mark = out / "g1.mark"
+            return n_records * (mark.exists() and read_told(mark)[1] >= n_records)
+
+        after = await bench.measure(f"a mapper that took in {n_records:,} encounters", until=stored)
+        return [before, replace(after, files={name: _size(out, name) for name in ("g1", "store")})]
+
+
+def _start_publishers(bench: Bench, *, rate: float, n_records: int) -> None:
+    for name in bench.gateways:
+        plan = EndPlan(
+            role="publisher",
+            site=_SITE,
+            name=name,
+            endpoint=bench.endpoint((name, "r1")),
+            tls=bench.registry.known(f"{_SITE}/gateway/{name}"),
+            file=str(bench.out / f"{name}.sqlite"),
+            told=str(bench.out / f"{name}.told"),
+            rate=rate,
+            n_records=n_records,
+            go=str(bench.out / "go"),
+        )
+        _start_end(bench, plan, host=name)
+
+
 def _size(out: Path, name: str) -> int:
     return sum(path.stat().st_size for path in out.glob(f"{name}.sqlite*"))
 
@@ -229,6 +265,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m studies.sites.costs", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("sites-out"), metavar="DIR", help="made anew (default: sites-out)")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="of each case (default: 20)")
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), help="(default: all)")
     options = parser.parse_args(arguments)
     enter_namespaces("studies.sites.costs")
     if (problem := find_problem()) is not None:
@@ -237,7 +274,7 @@ def main(arguments: list[str] | None = None) -> int:
     out = options.out.resolve() / "costs"
     shutil.rmtree(out, ignore_errors=True)
     try:
-        costs = asyncio.run(_measure_all(out, lasts_s=options.seconds))
+        costs = asyncio.run(_measure_all(out, lasts_s=options.seconds, cases=options.cases))
     except SitesError as error:
         sys.stderr.write(f"costs: error: {error}\n")
         return 1
@@ -246,10 +283,18 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-async def _measure_all(out: Path, *, lasts_s: float) -> list[Cost]:
-    costs = [await cost_of_standing(out / f"standing{n_biobots}", n_biobots=n_biobots, lasts_s=lasts_s) for n_biobots in (2, 500)]
-    for n_gateways, rate in ((1, 10.0), (1, 100.0), (1, 1000.0), (3, 1000.0)):
-        costs += await cost_of_records(out / f"records{n_gateways}x{rate:g}", n_gateways=n_gateways, rate=rate, lasts_s=lasts_s)
+async def _measure_all(out: Path, *, lasts_s: float, cases: Sequence[str]) -> list[Cost]:
+    costs: list[Cost] = []
+    if "standing" in cases:
+        costs += [await cost_of_standing(out / f"standing{n_biobots}", n_biobots=n_biobots, lasts_s=lasts_s) for n_biobots in (2, 500)]
+    if "slow" in cases:
+        costs += await cost_of_records(out / "slow", n_gateways=1, rate=10.0, lasts_s=lasts_s)
+    if "fast" in cases:
+        costs += await cost_of_records(out / "fast", n_gateways=1, rate=1000.0, lasts_s=lasts_s)
+    if "three" in cases:
+        costs += await cost_of_records(out / "three", n_gateways=3, rate=1000.0, lasts_s=lasts_s)
+    if "memory" in cases:
+        costs += await cost_of_memory(out / "memory", n_records=_MANY, rate=2000.0)
     return costs
 
 

@@ -36,7 +36,6 @@ def find_problem() -> str | None:
     try:
         with Wires([(HALL, "probe")]) as wires:
             _run(*wires.prefix("probe"), "true")
-            wires.remove_switches()
     except SitesError as error:
         return f"network namespaces, bridges or pairs of devices are not allowed here: {error}"
     return None
@@ -108,13 +107,6 @@ class Wires:
         """Have it carried again."""
         _ip("link", "set", self._port(cable, 0), "master", self._switch(cable))
 
-    def remove_switches(self) -> None:
-        """Take all switches away, and all wires with them."""
-        for cable, number in self._cables.items():
-            _ip("link", "delete", self._switch(cable))
-            for end in (0, 1):
-                _ip("link", "delete", f"p{number}{'ab'[end]}")
-
     def _lay(self, cable: Cable, number: int) -> None:
         switch = self._switch(cable)
         _ip("link", "add", switch, "type", "bridge")
@@ -140,6 +132,9 @@ class Wires:
             holder.kill()
             holder.wait()
         self._holders.clear()
+        for cable in self._cables:  # the wires have gone with the machines, but for those that end in the hall
+            for device in (self._switch(cable), *(self._port(cable, end) for end in (0, 1))):
+                subprocess.run(["ip", "link", "delete", device], check=False, capture_output=True)
 
 
 def _hold() -> subprocess.Popen[bytes]:

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from studies.architecture import draw_architecture
 from tests.documents.commands import ROOT
 
 DOCS = ROOT / "docs"
@@ -12,7 +13,8 @@ DOORS = [DOCS / f"{name}.md" for name in ("operator", "integrator", "firmware-en
 def links(page: Path) -> set[Path]:
     """Return the documents that a page leads to."""
     targets = re.findall(r"\]\(([^)#]+\.md)", page.read_text())
-    return {(page.parent / target).resolve() for target in targets if "://" not in target}
+    found = {(page.parent / target).resolve() for target in targets if "://" not in target}
+    return {one for one in found if one.exists()}  # tests/test_docs.py names those that do not
 
 
 def test_every_page_is_reached_from_a_door() -> None:
@@ -38,8 +40,8 @@ def test_every_decision_is_in_their_list() -> None:
     assert {*(DOCS / "adr").glob("0*.md")} <= links(DOCS / "adr" / "README.md")
 
 
-def test_every_picture_is_shown_and_made_by_a_command() -> None:
-    """Together they are small: they are in every clone."""
+def test_pictures_are_shown_small_and_as_the_command_makes_them() -> None:
+    """They are in every clone. Those of the page differ from run to run: which instant they caught is chance."""
     pictures = {*(DOCS / "pictures").iterdir()}
     shown = {
         (page.parent / target).resolve()
@@ -50,3 +52,4 @@ def test_every_picture_is_shown_and_made_by_a_command() -> None:
     assert pictures
     assert pictures <= shown
     assert sum(one.stat().st_size for one in pictures) <= 1_000_000
+    assert (DOCS / "pictures" / "architecture.svg").read_text() == draw_architecture(), "run: make pictures ARGS=--only-drawn"

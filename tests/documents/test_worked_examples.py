@@ -62,6 +62,7 @@ def test_a_scenario_that_is_added_is_walked(tmp_path: Path, monkeypatch: pytest.
 @contextlib.asynccontextmanager
 async def socket_to(port: int, path: Path) -> AsyncIterator[None]:
     """Pass on whatever comes at a socket of the file system to a TCP port, and back."""
+    joined: set[asyncio.Task[None]] = set()
 
     async def pour(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
         with contextlib.suppress(ConnectionError):
@@ -70,12 +71,22 @@ async def socket_to(port: int, path: Path) -> AsyncIterator[None]:
                 await sink.drain()
         sink.close()
 
-    async def join(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         there, back = await asyncio.open_connection("127.0.0.1", port)
-        await asyncio.gather(pour(reader, back), pour(there, writer))
+        try:
+            await asyncio.gather(pour(reader, back), pour(there, writer))
+        finally:
+            for end in (back, writer):
+                end.close()
+                with contextlib.suppress(ConnectionError):
+                    await end.wait_closed()
+
+    def join(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        joined.add(asyncio.create_task(pass_on(reader, writer)))
 
     async with await asyncio.start_unix_server(join, path):
         yield
+        await asyncio.gather(*joined)
 
 
 def test_a_transport_that_is_added_carries_a_dongle(tmp_path: Path) -> None:
@@ -113,6 +124,7 @@ def test_a_transport_that_is_added_ends_when_the_other_end_does(tmp_path: Path) 
             with pytest.raises(TransportClosedError, match="the other end closed the connection"):
                 await transport.read()
             await transport.aclose()
+            await end.wait_closed()
 
     asyncio.run(story())
 

@@ -164,7 +164,8 @@ def test_stale_future_unknown_and_too_frequent_commands_are_refused_and_audited(
         dongle = a_dongle(7)
         backpack = dongle.backpacks[NodeId(7)]
         async with on_tcp(dongle) as port:
-            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}")
+            seldom = StimulationTable(reply_timeout_s=20.0, min_gap_s=600.0)
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=seldom)
             with listening(config) as peer:
                 async with running(config):
                     await peer.hear()
@@ -184,7 +185,7 @@ def test_stale_future_unknown_and_too_frequent_commands_are_refused_and_audited(
                     assert stages[-1].stage is Stage.BIOBOT_CONFIRMED
                     (stage,) = await command(peer, a_request(7, StimulationAction.START))
                     assert stage.stage is Stage.REFUSED
-                    assert "must be 2 s at least" in stage.reason
+                    assert "must be 600 s at least" in stage.reason
                     stages = await command(peer, a_request(7, StimulationAction.STOP, age_s=60))
                     assert stages[-1].stage is Stage.BIOBOT_CONFIRMED, "a stop is never too old, nor too soon"
         with sqlite3.connect(config.journal) as journal:

@@ -102,7 +102,8 @@ def test_a_script_of_which_a_step_was_refused_goes_on_and_fails_in_the_end(tmp_p
     async def story() -> None:
         dongle = a_dongle(7)
         async with on_tcp(dongle) as port:
-            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=_TABLE)
+            seldom = msgspec.structs.replace(_TABLE, min_gap_s=600.0)
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=seldom)
             with listening(config) as peer:
                 async with running(config):
                     backpack = dongle.backpacks[NodeId(7)]

@@ -93,9 +93,10 @@ def until(is_met: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
-def picture(page: Page, name: str) -> None:
+def picture(page: Page, name: str, *, is_whole: bool = True) -> None:
+    """Keep a picture of the whole page, or of what is in sight of it."""
     ARTIFACTS.mkdir(exist_ok=True)
-    page.screenshot(path=ARTIFACTS / f"{name}.png", full_page=True)
+    page.screenshot(path=ARTIFACTS / f"{name}.png", full_page=is_whole)
 
 
 def fits_its_width(page: Page) -> bool:
