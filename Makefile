@@ -7,6 +7,7 @@ PEERS := .venv-peers
 WIRE_PEERS := .venv-wire-peers
 FUZZ := .venv-fuzz
 ARGS ?=
+export PREFIX DESTDIR SERVICES
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 26
@@ -24,7 +25,13 @@ demo: venv  ## insects walk, a gateway listens, a mapper draws; the map opens in
 	$(PY) -m studies.demo $(ARGS)
 
 test: venv  ## run the tests (ARGS="-k name")
-	$(PY) -m pytest --numprocesses=2 --dist=loadgroup $(ARGS)
+	$(PY) -m pytest --numprocesses=3 --dist=loadgroup $(ARGS)
+
+test-campaigns: venv  ## run the tests that are studies in small, which `make test` leaves out (minutes; docs/testing.md)
+	$(PY) -m pytest --numprocesses=2 --dist=loadgroup -m campaign $(ARGS)
+
+story: venv  ## an operator's whole story at the page, over real processes, with pictures of each step in artifacts/ (minutes)
+	$(PY) -m pytest -n0 -m story tests/e2e/test_story.py $(ARGS)
 
 check: venv format-check lint types layers test  ## the gate: format, lint, types, layers, tests
 
@@ -105,6 +112,12 @@ campaign: venv  ## a whole site lives through 1,000 faults; is every one of 1,00
 cut-links: venv  ## cut cables, drop packets, kill the router: how soon is the mapper's store complete again? (root; a minute; docs/zenoh.md)
 	$(PY) -m studies.cut_links $(ARGS)
 
+sites: venv  ## three gateways, two routers, a mapper and a second site in namespaces: cut, healed, moved, accounted for (root; minutes; docs/sites.md)
+	$(PY) -m studies.sites $(ARGS)
+
+bench-sites: venv  ## what an encounter, a biobot and a base station cost gateway, routers and mapper (root; minutes; docs/scaling.md)
+	$(PY) -m studies.sites.costs $(ARGS)
+
 bench-dead-man: venv  ## kill a commander, cut its link: how soon do those that it moves stand? (links as root; minutes; docs/steering.md)
 	$(PY) -m studies.dead_man $(ARGS)
 
@@ -148,17 +161,50 @@ firmware-image: venv  ## build the coordinator firmware for an emulated board an
 fuzz-c: venv  ## throw inputs at the C side under sanitizers (needs clang; half a minute; ARGS="--inputs 10000000" for the campaign)
 	$(PY) scripts/fuzz_c.py $(ARGS)
 
+pictures: venv  ## make the pictures of the documents anew (minutes; wants Chromium: make system-packages; ARGS="--only-drawn")
+	$(PY) -m studies.pictures $(ARGS)
+
 lock:  ## pin every dependency with hashes (needs uv)
 	sh scripts/lock.sh
 
-docker-check: venv  ## lint the Dockerfile and validate the compose file; no engine needed
+docker-check: venv  ## lint the Dockerfile and validate the compose files; no engine needed
 	$(VENV)/bin/hadolint -c docker/hadolint.yaml docker/Dockerfile
-	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
+	$(VENV)/bin/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml docker/compose.site.yaml
 
-deploy-check: venv  ## check the systemd units and udev rules of deploy/ with systemd's own tools
+containers: venv  ## build the images and run both compose files with buildah and podman (root; minutes; docs/containers.md; ARGS="--skip")
+	$(PY) -m scripts.containers $(ARGS)
+
+bare-machine:  ## demo and tests on a Debian made by debootstrap, with python3, make, gcc and git alone (root; docs/bare-machine.md; ARGS="--no-tests")
+	python3 -m scripts.bare_machine $(ARGS)
+
+install:  ## install this checkout as services of the machine, or upgrade them (root; PREFIX, DESTDIR, SERVICES=gateway,mapper,router; docs/installing.md)
+	sh scripts/services.sh install $(ARGS)
+
+uninstall:  ## remove them; data and configurations stay (ARGS="--purge --yes": those go too)
+	sh scripts/services.sh uninstall $(ARGS)
+
+install-check: venv  ## install, upgrade, break and remove the services on a machine of their own: systemd in a container (root, podman; minutes)
+	$(PY) -m scripts.installed $(ARGS)
+
+deploy-check: venv  ## check the systemd units and udev rules with systemd's own tools
 	$(PY) scripts/deploy_check.py
 
+sbom: venv  ## write the bill of materials, CycloneDX (dist/biobot-VERSION.cdx.json; ARGS="--shipped")
+	$(PY) -m scripts.release.sbom $(ARGS)
+
+bundle: venv  ## make the archive that installs where there is no network (docs/bundle.md; minutes; ARGS="--python 3.11 --machine aarch64")
+	$(PY) -m scripts.release.bundle $(ARGS)
+
+bundle-check: venv  ## install dist's bundle without a network, map and run the demo, for each Python here (minutes; ARGS="--tree build/trees/debian-14")
+	$(PY) -m scripts.release.bundle_check $(ARGS)
+
+wheels-check: venv  ## install wheel and sdist into bare environments, and map, for each Python here (minutes; docs/releasing.md)
+	$(PY) -m scripts.release.wheels_check $(ARGS)
+
+formats: venv  ## keep the files that this version leaves behind, for tests of later ones (once a release; docs/formats.md)
+	$(PY) -m scripts.release.freeze_formats $(ARGS)
+
 clean:  ## remove what the other targets made
-	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out campaign-out bench-live-out rest-speed-out page-speed-out bench-gateway-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) $(FUZZ) fuzz-out $(WIRE_PEERS) simulator/engine/*.so mapper/kernels/*.so gateway/bulk/*.so build dist demo-out campaign-out bench-live-out rest-speed-out page-speed-out sites-out bench-gateway-out soak-out artifacts .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 .PHONY: $(shell sed -nE 's/^([a-z-]+):( .*)?$$/\1/p' $(MAKEFILE_LIST))

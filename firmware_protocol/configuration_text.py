@@ -8,6 +8,7 @@ import inspect
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import Enum
 from textwrap import wrap
 from types import UnionType
@@ -32,15 +33,30 @@ def default_toml(config: type[msgspec.Struct], *, title: str) -> str:
     return "\n".join([*_comment(title), *_table(config, name="")]).rstrip() + "\n"
 
 
-def configuration_keys(config: type[msgspec.Struct], prefix: str = "") -> Iterator[tuple[str, str, str]]:
-    """Yield dotted key, type and default of every key of a configuration."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Key:
+    """A key in words: its dotted name, its type with limits, its default, and what it means."""
+
+    name: str
+    kind: str
+    default: str
+    meaning: str
+    """Of several that are meant together, the first has the text, and the others name it."""
+
+
+def configuration_keys(config: type[msgspec.Struct], prefix: str = "") -> Iterator[Key]:
+    """Yield every key of a configuration; raises ``ValueError`` where a Struct's docstring says nothing of one of its keys."""
+    known = meanings(config)
     for one in msgspec.structs.fields(config):
-        key = prefix + one.encode_name
+        name = prefix + one.encode_name
         if _is_table(one.type):
-            yield from configuration_keys(one.type, f"{key}.")
-        else:
-            default = "required" if one.required else f"`{msgspec.json.encode(_default(one), enc_hook=str).decode()}`"
-            yield key, type_name(one.type), default
+            yield from configuration_keys(one.type, f"{name}.")
+            continue
+        group, meaning = _meaning_of(one.encode_name, known, config=config)
+        default = "required" if one.required else f"`{msgspec.json.encode(_default(one), enc_hook=str).decode()}`"
+        if len(group) > 1:
+            meaning = f"{', '.join(group)}: {meaning}" if one.encode_name == group[0] else f"With `{group[0]}`."
+        yield Key(name=name, kind=type_name(one.type), default=default, meaning=meaning)
 
 
 def type_name(annotation: Any) -> str:
@@ -64,13 +80,20 @@ def type_name(annotation: Any) -> str:
 
 
 def meanings(config: type[msgspec.Struct]) -> dict[str, tuple[tuple[str, ...], str]]:
-    """Return, for each key that a Struct's docstring names, all keys named with it and what they mean."""
-    section = re.search(r"^Keys\n-+\n(.*)", inspect.getdoc(config) or "", re.DOTALL | re.MULTILINE)
+    """Return, for each key that a Struct's docstring or a base's names, all keys named with it and what they mean; names may take lines."""
     found: dict[str, tuple[tuple[str, ...], str]] = {}
-    for names, text in re.findall(r"^(\S.*)\n((?:(?: .*)?(?:\n|\Z))+)", section[1] if section else "", re.MULTILINE):
-        keys = tuple(re.split(r",\s*", names.strip()))
-        found.update(dict.fromkeys(keys, (keys, " ".join(text.split()))))
+    for one in reversed(config.__mro__):
+        section = re.search(r"^Keys\n-+\n(.*)", inspect.cleandoc(one.__doc__ or ""), re.DOTALL | re.MULTILINE)
+        for names, text in re.findall(r"^((?:\S.*\n)+)((?:(?: .*)?(?:\n|\Z))+)", section[1] if section else "", re.MULTILINE):
+            keys = tuple(re.split(r",\s*", names.strip()))
+            found.update(dict.fromkeys(keys, (keys, " ".join(text.split()))))
     return found
+
+
+def _meaning_of(key: str, known: dict[str, tuple[tuple[str, ...], str]], *, config: type[msgspec.Struct]) -> tuple[tuple[str, ...], str]:
+    if key not in known:
+        raise ValueError(f"{config.__name__}: the section Keys of its docstring says nothing of {key}")
+    return known[key]
 
 
 def _table(config: type[msgspec.Struct], *, name: str) -> list[str]:
@@ -83,9 +106,7 @@ def _table(config: type[msgspec.Struct], *, name: str) -> list[str]:
     for one in fields:
         if _is_table(one.type):
             continue
-        if one.encode_name not in known:
-            raise ValueError(f"{config.__name__}: the section Keys of its docstring says nothing of {one.encode_name}")
-        group, meaning = known[one.encode_name]
+        group, meaning = _meaning_of(one.encode_name, known, config=config)
         if group != told:
             about = f"{', '.join(group)}: " if len(group) > 1 else ""
             lines += ["", *_comment(f"{about}{meaning}")]

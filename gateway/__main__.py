@@ -21,6 +21,7 @@ from gateway.commands import (
     ports,
     router,
     run,
+    services,
     status,
     steer,
     stop,
@@ -33,13 +34,13 @@ Command = Callable[[argparse.Namespace], int]
 
 _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "run": ("run the gateway", run.add_arguments, run.run),
-    "list-ports": ("list the serial ports of this machine, those with a by-id link first", ports.add_list_arguments, ports.list_ports),
-    "probe": ("tell which dialect, firmware and network answers at a port", ports.add_probe_arguments, ports.probe),
+    "list-ports": ("list the serial ports of this machine", ports.add_list_arguments, ports.list_ports),
+    "probe": ("tell which dialect, firmware and network answers there", ports.add_probe_arguments, ports.probe),
     "check-radio": ("check a radio, capability by capability", check_radio.add_arguments, check_radio.check),
-    "journal": ("check a journal, tell what is in it, or export it as CSV or Parquet", journal.add_arguments, journal.journal),
-    "audit": ("show who commanded what, and verify that the log of it is as it was written", audit.add_arguments, audit.audit),
+    "journal": ("check or describe a journal, or export it as a table", journal.add_arguments, journal.journal),
+    "audit": ("show who commanded what, and verify the log of it", audit.add_arguments, audit.audit),
     "command": ("command a biobot through a running gateway", asking.add_command_arguments, asking.command),
-    "stop": ("stop biobots, or all, through every gateway of a site at once", stop.add_arguments, stop.stop),
+    "stop": ("stop biobots, or all, through every gateway of a site", stop.add_arguments, stop.stop),
     "steer": ("move a biobot by the arrow keys; it is stopped when you leave", steer.add_arguments, steer.steer),
     "mission": ("start, pause, resume or end a gateway's mission, or show how it stands", mission.add_arguments, mission.mission),
     "status": (
@@ -47,9 +48,15 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
         status.add_arguments,
         status.status,
     ),
-    "config": ("print a configuration file of all keys with their defaults, or its schema", config.add_arguments, config.config),
+    "config": ("print a configuration of all keys, or its schema", config.add_arguments, config.config),
     "router": ("carry messages between gateways, mappers and operators of several machines", router.add_arguments, router.router),
     "certs": ("make and look after the certificates of a site", certs.add_arguments, certs.certs),
+    "install-service": (
+        "install or upgrade services of this machine",
+        services.add_install_arguments,
+        services.install_service,
+    ),
+    "uninstall-service": ("remove those services", services.add_uninstall_arguments, services.uninstall_service),
     "configure": (
         "set the network of a native or CAN coordinator whose port no gateway holds",
         configure.add_arguments,

@@ -14,6 +14,7 @@ GatewayError
 ├── RecordingError            a file is no recording, or cannot be written: choose another
 ├── BusError                  Zenoh cannot be opened as configured
 ├── MonitorError              the monitor cannot answer where it is to: choose another address
+├── InstallationError         services cannot be installed or removed as asked: the message says what to do first
 └── CommandError              a command could not be brought to a gateway
 """
 
@@ -139,6 +140,16 @@ class MonitorError(GatewayError):
         super().__init__(f"monitor {address}: {reason}; {next_step}")
         self.address = address
         self.reason = reason
+
+
+class InstallationError(GatewayError):
+    """Services cannot be installed or removed as asked."""
+
+    def __init__(self, *, what: str, reason: str, next_step: str) -> None:
+        super().__init__(f"{what}: {reason}; {next_step}")
+        self.what = what
+        self.reason = reason
+        self.next_step = next_step
 
 
 class CommandError(GatewayError):

@@ -4,15 +4,18 @@ import contextlib
 import os
 import queue
 import signal
+from collections.abc import Callable
 from enum import Enum
 from types import FrameType
 
+import msgspec
 import zenoh
 
 from firmware_protocol.contract.access import Identity, access_control, parse_identity
-from firmware_protocol.contract.sessions import SECURE_PREFIXES
+from firmware_protocol.contract.handshakes import CertificateFacts
+from firmware_protocol.contract.sessions import SECURE_PREFIXES, host_and_port
 from firmware_protocol.errors import KeyExpressionError
-from gateway.bus_session import ConnectionWatch, open_service
+from gateway.bus_session import ConnectionWatch, open_client, open_service
 from gateway.errors import BusError
 from gateway.health import Health
 from gateway.log import EventLog
@@ -24,6 +27,7 @@ from gateway.zenoh_log import capture_zenoh_log
 _log = EventLog(__name__)
 
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+_EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}  # noqa: S104  # nothing is opened there: where a router that listens so is found
 
 
 class _Order(Enum):
@@ -40,6 +44,7 @@ class Router:
         self._health = Health()
         self._happenings: queue.SimpleQueue[_Order | zenoh.LinkEvent] = queue.SimpleQueue()
         self._members: list[Identity] = []
+        self._facts: CertificateFacts | None = None
         self._session: zenoh.Session
         self._watch: ConnectionWatch
 
@@ -60,34 +65,48 @@ class Router:
             An endpoint cannot be listened on, or is none; the roster is unfit.
         """
         self._open(self._read_roster())
-        _log.info(
-            "router.started",
-            listen=", ".join(self._config.listen),
-            connect=", ".join(self._config.connect),
-            members=len(self._members) if self._config.roster is not None else "anybody",
-        )
-        self._warn_of_open_doors()
-        self._manager.ready()
+        # From here on the session is closed whatever happens: the process of an open one does not end.
         try:
-            while (happening := self._happenings.get()) is not _Order.STOP:
+            _log.info(
+                "router.started",
+                listen=", ".join(self._config.listen),
+                connect=", ".join(self._config.connect),
+                members=len(self._members) if self._config.roster is not None else "anybody",
+            )
+            self._warn_of_open_doors()
+            self._manager.ready()
+            while (happening := self._next()) is not _Order.STOP:
                 if happening is _Order.RELOAD:
                     self._reload()
                 elif isinstance(happening, zenoh.LinkEvent):
                     self._tell(happening)
+                # Zenoh is asked first: a router that hangs in it gives no sign of life.
                 self._manager.tell(f"{len(self._session.info.transports())} connected")
+                self._manager.give_sign()
         finally:
             self._manager.stopping()
             self._close()
         _log.info("router.stopped")
+
+    def _next(self) -> "_Order | zenoh.LinkEvent | None":
+        """Wait for what happens next; None: nothing did until a sign of life was due."""
+        try:
+            return self._happenings.get(timeout=self._manager.sign_every_s)
+        except queue.Empty:
+            return None
 
     def _open(self, members: list[Identity]) -> None:
         config = self._config
         access = None if config.roster is None else access_control(members)
         self._session = open_service(listen=config.listen, connect=config.connect, tls=config.tls, timing=config.zenoh, access=access)
         self._members = members
-        facts = check_tls_files(config.tls, roles=()).facts
+        self._facts = check_tls_files(config.tls, roles=()).facts
         self._watch = ConnectionWatch(
-            n_links=lambda: len(self._session.info.transports()), connect=config.connect, tls=config.tls, facts=facts, health=self._health
+            n_links=lambda: len(self._session.info.transports()),
+            connect=config.connect,
+            tls=config.tls,
+            facts=self._facts,
+            health=self._health,
         )
         self._session.info.declare_link_events_listener(self._happenings.put, history=True)
 
@@ -122,14 +141,18 @@ class Router:
         name = link.auth_identifier or ""
         facts = {"name": name, "address": link.dst, "zid": str(link.zid)}
         if event.kind == zenoh.SampleKind.DELETE:
-            _log.info("router.left", **facts)
+            self._say_of(name)("router.left", **facts)
             return
         stranger = self._why_stranger(name)
         if stranger is None:
-            _log.info("router.joined", **facts)
+            self._say_of(name)("router.joined", **facts)
         else:
             self._health.count("router.strangers")
             _log.warning("router.stranger", **facts, reason=stranger)
+
+    def _say_of(self, name: str) -> Callable[..., None]:
+        """Return how to log who comes and goes: whoever shows this router's own certificate is `ping_router`, again and again."""
+        return _log.debug if name and self._facts is not None and name == self._facts.common_name else _log.info
 
     def _why_stranger(self, common_name: str) -> str | None:
         if self._config.roster is None or common_name in {member.common_name for member in self._members}:
@@ -152,6 +175,28 @@ def run_router(config: RouterConfig) -> None:
     capture_zenoh_log()
     with contextlib.closing(ServiceManager.of(os.environ)) as manager:
         _run_until_signalled(Router(config, manager=manager))
+
+
+def ping_router(config: RouterConfig) -> None:
+    """Open a session with the router of this machine that runs with this configuration, as itself, and close it again.
+
+    Raises
+    ------
+    BusError
+        It does not answer; the reason is told for each endpoint.
+    """
+    # It is sought on loopback, which no certificate needs to name.
+    tls = msgspec.structs.replace(config.tls, verify_name=False)
+    for endpoint in config.listen:
+        open_client(connect=[_way_in(endpoint)], tls=tls, timing=config.zenoh).close()  # type: ignore[no-untyped-call]  # as in _close
+
+
+def _way_in(endpoint: str) -> str:
+    """Return what to connect to for an endpoint that is listened on."""
+    address = host_and_port(endpoint)
+    if address is None or address[0] not in _EVERYWHERE:
+        return endpoint
+    return f"{endpoint.partition('/')[0]}/{_EVERYWHERE[address[0]]}:{address[1]}"
 
 
 def _run_until_signalled(router: Router) -> None:

@@ -63,11 +63,21 @@ class ServiceManager:
         if line != self._status and self._send(f"STATUS={line}"):
             self._status = line
 
-    async def watch(self) -> None:
-        """Give signs of life from the event loop until cancelled; one that hangs gives none, and the process is started anew."""
-        while self._watchdog_s is not None:
+    @property
+    def sign_every_s(self) -> float | None:
+        """How often to give a sign of life [s]; None: nobody waits for one."""
+        return None if self._watchdog_s is None else self._watchdog_s / _SIGNS_IN_A_PERIOD
+
+    def give_sign(self) -> None:
+        """Give a sign of life; a process that gives none is started anew."""
+        if self._watchdog_s is not None:
             self._send("WATCHDOG=1")
-            await asyncio.sleep(self._watchdog_s / _SIGNS_IN_A_PERIOD)
+
+    async def watch(self) -> None:
+        """Give signs of life from the event loop until cancelled; one that hangs gives none."""
+        while self.sign_every_s is not None:
+            self.give_sign()
+            await asyncio.sleep(self.sign_every_s)
 
     def close(self) -> None:
         """Close the socket; nothing is said any more."""

@@ -12,9 +12,9 @@ from typing import Final
 
 from firmware_protocol.contract.announcements import GatewayEvent
 from firmware_protocol.contract.records import LandmarkChange, MissionPhase, MissionRecord, Mode
-from firmware_protocol.units import NodeId
 from mapper.alert_book import AlertKind, Condition, Severity
 from mapper.fleet import BiobotView, GatewayView
+from mapper.presence import Presence, presence_of
 from mapper.recent_contacts import Contacts
 
 IsOn = Callable[[AlertKind, str], bool]
@@ -78,14 +78,13 @@ class AlertLimits:
 class Situation:
     """All that is looked at.
 
-    ``silences_s``: how long biobots were not heard; ``events``, ``recent_changes`` (with their gateways),
-    ``contacts``: of the last minutes; ``remedies``: what would help where the data are not enough for the map, None: they are.
+    ``events``, ``recent_changes`` (with their gateways), ``contacts``: of the last minutes; ``remedies``: what would help where the
+    data are not enough for the map, None: they are.
     """
 
     is_connected: bool
     gateways: Sequence[GatewayView]
     biobots: Sequence[BiobotView]
-    silences_s: Mapping[NodeId, float]
     events: Sequence[GatewayEvent]
     faults: Sequence[str]
     missions: Sequence[MissionRecord]
@@ -178,13 +177,10 @@ def _disk(view: GatewayView, is_on: IsOn) -> Iterator[Condition]:
 def _biobots(situation: Situation, limits: AlertLimits, is_on: IsOn) -> Iterator[Condition]:
     gateways = {view.name: view for view in situation.gateways if view.is_alive and view.status is not None}
     for biobot in situation.biobots:
-        subject, home = f"biobot {biobot.node}", gateways.get(biobot.gateway)
-        status = None if home is None else home.status
-        if status is None:
+        if biobot.gateway not in gateways:
             continue  # of one whose gateway is away nothing is known
-        is_deaf = biobot.radio is not None and status.radios.get(biobot.radio, _UP) != _UP
-        silence_s = situation.silences_s.get(biobot.node, 0.0)
-        if silence_s > limits.lost_s and not is_deaf:
+        subject = f"biobot {biobot.node}"
+        if presence_of(biobot, gateways=gateways, lost_s=limits.lost_s) is Presence.LOST:
             role = "It was a landmark: the map leans on it no more. " if biobot.is_landmark else ""
             text = (
                 f"Biobot {biobot.node} has not been heard for over {limits.lost_s:g} s, though gateway {biobot.gateway} works. {role}"

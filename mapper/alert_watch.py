@@ -65,6 +65,7 @@ class AlertWatch:
         is_connected: Callable[[], bool],
         faults: Callable[[], list[str]],
     ) -> None:
+        self.lost_s = limits.lost_s
         self._records = records
         self._fleet = fleet
         self._changes = changes
@@ -151,7 +152,6 @@ class AlertWatch:
             is_connected=self._is_connected(),
             gateways=self._fleet.gateways(now_ns=now_ns),
             biobots=self._fleet.biobots(now_ns=now_ns),
-            silences_s=self._fleet.silences_s(),
             events=self._recent_events(now_ns=now_ns),
             faults=self._faults(),
             missions=missions,

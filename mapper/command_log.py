@@ -92,6 +92,13 @@ class Command:
         return bool(self.answers) and not self.unfinished
 
     @property
+    def is_done(self) -> bool:
+        """Nobody need be asked about this stop any more: all have answered and, where it is for one biobot, that biobot has it."""
+        if not self.is_answered:
+            return False
+        return self.action is not StimulationAction.STOP or Outcome.BIOBOT_CONFIRMED in {answer.outcome for answer in self.answers.values()}
+
+    @property
     def is_settled(self) -> bool:
         """Of no gateway that it concerns more is awaited."""
         answers = self._answers_that_count

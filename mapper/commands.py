@@ -258,10 +258,10 @@ class CommandDesk:
             async with asyncio.TaskGroup() as group:
                 asking = [group.create_task(follow(name, stages)) for name, stages in first.items()]
                 await asyncio.sleep(0)  # it has begun
-                while not command.is_answered and loop.time() - begun_s < _ASKED_FOR_S and command.command_id in self._insisting:
+                while not command.is_done and loop.time() - begun_s < _ASKED_FOR_S and command.command_id in self._insisting:
                     if await self.log.wait(lambda: command.is_answered or n_open == 0, of=[command], timeout_s=_ASK_AGAIN_S):
                         judge(command.unfinished)
-                        await self.log.wait(lambda: command.is_answered, of=[command], timeout_s=_ASK_AGAIN_S)
+                        await self.log.wait(lambda: command.is_done, of=[command], timeout_s=_ASK_AGAIN_S)
                     asking += [
                         group.create_task(
                             follow(name, self._ask(_stop_for(request, name, nearest=command.nearest), gateway=name, timeout_s=timeout_s))
@@ -281,11 +281,12 @@ class CommandDesk:
     def _untold(self, command: Command, *, is_idle: bool) -> list[str]:
         """Name the gateways on the bus that told nothing of a stop, and (nothing is asked any more) no end of it.
 
-        Where it is for all, those that came since it was given are among them.
+        Where it is for all, those that came since it was given are among them; where it is for one, those that came to hear the biobot.
         """
-        if command.is_answered:
+        if command.is_done:
             return []
-        late = [] if command.gateway is not None else [name for name in self._fleet.gateways_heard() if name not in command.answers]
+        near = self._fleet.gateways_heard() if command.gateway is None else self._fleet.hearers_of(command.node)
+        late = [name for name in near if name not in command.answers]
         return [name for name in [*(command.unfinished if is_idle else command.silent), *late] if self._is_there(name)]
 
     def _is_there(self, gateway: str) -> bool:

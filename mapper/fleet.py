@@ -17,6 +17,7 @@ _MAX_BIOBOTS = 65_536
 _MAX_GATEWAYS = 1_024
 _MAX_RADIOS = 256
 _KEPT_EVENTS = 200
+_KEPT_STOPS = 64
 _HALTED_FROM_NS, _HALTED_TO_NS = -1_000_000_000, 30_000_000_000
 """A biobot that a stop of all halts stands from about that moment on, or when one of its repetitions has come; the clocks of backpacks are
 fitted."""
@@ -40,6 +41,8 @@ class BiobotView:
     rssi_dbm: int | None = None
     lqi: int | None = None
     last_heard_wall_ns: int | None = None
+    silence_s: float | None = None
+    """For how long it has not been heard, by the clock of the gateway that heard it last."""
     buffered: int | None = None
     dropped: int | None = None
     firmware: int | None = None
@@ -69,6 +72,8 @@ class _Gateway:
     has_token: bool = False
     status: GatewayStatus | None = None
     heard_ns: int | None = None
+    status_ns: int = 0
+    """When the status came, on the monotonic clock."""
     radios_up: set[str] = field(default_factory=set)
 
 
@@ -84,8 +89,8 @@ class Fleet:
     _nodes: dict[NodeId, NodeStatus] = field(default_factory=dict)
     _modes: dict[NodeId, ModeRecord] = field(default_factory=dict)
     _hearers: dict[NodeId, dict[str, None]] = field(default_factory=dict)
-    _all_stopped_ns: dict[str, int] = field(default_factory=dict)
-    """By gateway when it last stopped all, on its wall clock."""
+    _all_stopped_ns: dict[str, deque[int]] = field(default_factory=dict)
+    """By gateway when it stopped all, on its wall clock: who stops all twice halts nobody anew the second time."""
     _stopped_ns: dict[NodeId, int] = field(default_factory=dict)
     """By biobot when it was last told to stop by itself, on the wall clock of the gateway that told it."""
     _neighbours: dict[NodeId, NeighbourReport] = field(default_factory=dict)
@@ -96,7 +101,7 @@ class Fleet:
         """Note that a gateway spoke; ``now_ns`` is monotonic."""
         gateway = self._gateway(status.gateway)
         if gateway:
-            gateway.status, gateway.heard_ns = status, now_ns
+            gateway.status, gateway.heard_ns, gateway.status_ns = status, now_ns, now_ns
 
     def take_presence(self, token: Token, *, is_alive: bool, now_ns: int) -> None:
         """Note that a gateway, a radio, a mapper or a commander came to the bus or left it; ``now_ns`` is monotonic."""
@@ -137,7 +142,7 @@ class Fleet:
         if stage.stage is not Stage.ACCEPTED or stage.gateway not in self._gateways:
             return
         if stage.action is StimulationAction.STOP_ALL:
-            self._all_stopped_ns[stage.gateway] = stage.wall_ns
+            self._all_stopped_ns.setdefault(stage.gateway, deque(maxlen=_KEPT_STOPS)).append(stage.wall_ns)
         elif stage.action is StimulationAction.STOP and not stage.part_of:
             self._put(self._stopped_ns, stage.node, stage.wall_ns)
 
@@ -148,15 +153,6 @@ class Fleet:
     def set_clock_shifts(self, shifts_ns: Mapping[str, int]) -> None:
         """Set what is to be added to the wall clocks of gateways that are wrong [ns]: a biobot belongs to the one that heard it last."""
         self._shifts_ns = shifts_ns
-
-    def silences_s(self) -> dict[NodeId, float]:
-        """Return how long biobots have not been heard [s], by the clocks of the gateways that heard them last."""
-        statuses = {name: known.status for name, known in self._gateways.items() if known.status is not None}
-        return {
-            node: (statuses[status.gateway].wall_ns - status.last_heard_wall_ns) / 1e9
-            for node, status in self._nodes.items()
-            if status.gateway in statuses
-        }
 
     def gateway_of(self, node: NodeId) -> str | None:
         """Name the gateway that heard a biobot last; None for an unknown one."""
@@ -196,9 +192,9 @@ class Fleet:
     def biobots(self, *, now_ns: int) -> list[BiobotView]:
         """List all biobots by id."""
         reachable = {view.name for view in self.gateways(now_ns=now_ns) if view.is_alive}
-        return [self._biobot(node, reachable) for node in sorted(self._nodes.keys() | self._modes.keys())]
+        return [self._biobot(node, reachable, now_ns) for node in sorted(self._nodes.keys() | self._modes.keys())]
 
-    def _biobot(self, node: NodeId, reachable: set[str]) -> BiobotView:
+    def _biobot(self, node: NodeId, reachable: set[str], now_ns: int) -> BiobotView:
         neighbours = self._neighbours.get(node)
         n_neighbours = len(neighbours.neighbours) if neighbours else None
         status = self._nodes.get(node)
@@ -225,6 +221,7 @@ class Fleet:
             rssi_dbm=None if status.rssi_dbm == RSSI_UNKNOWN else status.rssi_dbm,
             lqi=status.lqi,
             last_heard_wall_ns=self._heard_ns(status),
+            silence_s=self._silence_s(status, now_ns),
             buffered=status.buffered,
             dropped=status.dropped,
             firmware=status.firmware,
@@ -235,12 +232,20 @@ class Fleet:
 
     def _is_halted(self, node: NodeId) -> bool:
         spell = self._modes.get(node)
-        stopped_ns = None if spell is None else self._all_stopped_ns.get(spell.gateway)
-        if spell is None or stopped_ns is None or spell.mode is not Mode.S or spell.cause is not Cause.COMMAND:
+        if spell is None or spell.mode is not Mode.S or spell.cause is not Cause.COMMAND:
             return False
-        if self._stopped_ns.get(node, stopped_ns) > stopped_ns:
-            return False
-        return _HALTED_FROM_NS <= spell.t_start_ns + spell.wall_anchor_ns - stopped_ns <= _HALTED_TO_NS
+        began_ns, alone_ns = spell.t_start_ns + spell.wall_anchor_ns, self._stopped_ns.get(node)
+        return any(
+            _HALTED_FROM_NS <= began_ns - stopped_ns <= _HALTED_TO_NS and (alone_ns is None or alone_ns <= stopped_ns)
+            for stopped_ns in self._all_stopped_ns.get(spell.gateway, ())
+        )
+
+    def _silence_s(self, status: NodeStatus, now_ns: int) -> float | None:
+        home = self._gateways.get(status.gateway)
+        if home is None or home.status is None:
+            return None
+        then_ns = home.status.wall_ns - status.last_heard_wall_ns
+        return max(0, then_ns + now_ns - home.status_ns) / 1e9
 
     def _heard_ns(self, status: NodeStatus) -> int:
         return status.last_heard_wall_ns + self._shifts_ns.get(status.gateway, 0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from mapper.clock_samples import MAX_SAMPLE, SampledRows, SourceSample, make_sample
 from mapper.clock_votes import ClockDifference, compare_clocks
-from mapper.types import IntArray
+from mapper.types import BoolArray, IntArray
 
 _AGREE_NS: Final = 2_000_000_000
 """Clocks that differ by less agree: those set by NTP differ by less than a second (RFC 5905, 1)."""
@@ -56,6 +56,8 @@ class GatewayClocks:
     _samples: list[SourceSample] = field(default_factory=list)
     _last_rows: list[int] = field(default_factory=list)
     _compared: dict[tuple[int, int], tuple[int, int, ClockDifference | None]] = field(default_factory=dict)
+    _pairs: dict[int, tuple[int, IntArray]] = field(default_factory=dict)
+    """Of each source: the version of its sample, and the pairs in it, ascending."""
     _differences: dict[int, ClockDifference] = field(default_factory=dict)
     """Of each source that is not a reference and shares enough, to its reference."""
     _references: dict[int, int] = field(default_factory=dict)
@@ -137,6 +139,7 @@ class GatewayClocks:
             return facts[number]
 
         has_changed = False
+        has_met = self._meet(facts_of)
         for one in range(len(self.sources)):
             for other in range(one):
                 if self.sources[one].gateway == self.sources[other].gateway:
@@ -144,6 +147,10 @@ class GatewayClocks:
                 versions = self._samples[one].version, self._samples[other].version
                 known = self._compared.get((one, other))
                 if known is not None and known[:2] == versions:
+                    continue
+                if not has_met[one, other]:
+                    self._compared[one, other] = (*versions, None)
+                    has_changed = True
                     continue
                 # The order of comparing is that of the names, so that equal records give equal knots, whichever came first.
                 first, second = sorted((one, other), key=lambda number: self.sources[number])
@@ -154,6 +161,24 @@ class GatewayClocks:
                 self._compared[one, other] = (*versions, found)
                 has_changed = True
         return has_changed
+
+    def _meet(self, facts_of: Callable[[int], SampledRows]) -> BoolArray:
+        """Say of every two sources whether both told of any one pair of biobots, shape (sources, sources); else nothing can be compared."""
+        for number, sample in enumerate(self._samples):
+            known = self._pairs.get(number)
+            if known is None or known[0] != sample.version:
+                self._pairs[number] = sample.version, np.unique(facts_of(number).pair)
+        pairs = [self._pairs[number][1] for number in range(len(self.sources))]
+        pair, source = np.concatenate(pairs), np.repeat(np.arange(len(pairs)), [len(one) for one in pairs])
+        order = np.argsort(pair, kind="stable")
+        pair, source = pair[order], source[order]
+        has_met = np.zeros((len(pairs), len(pairs)), dtype=np.bool_)
+        for apart in range(1, len(pairs)):
+            is_one = pair[apart:] == pair[:-apart]
+            if not is_one.any():
+                break
+            has_met[source[apart:][is_one], source[:-apart][is_one]] = True  # the later source comes second: the sort is stable
+        return has_met
 
 
 def _is_off(found: ClockDifference) -> bool:

@@ -1,4 +1,4 @@
-"""Check the systemd units and the udev rules of deploy/ with systemd's own tools; what a tool finds, or says at all, is a fault.
+"""Check units and udev rules of gateway/installation/system with systemd's own tools; what a tool finds, or says at all, is a fault.
 
 ``systemd-analyze verify`` only warns of unknown keys and returns 0, so each line that it writes counts. The commands of the units are
 replaced by one that is there, because /opt/biobot is not there where this is checked. ``udevadm verify`` came with systemd 254; before it,
@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-DEPLOY = Path(__file__).parents[1] / "deploy"
+SYSTEM = Path(__file__).parents[1] / "gateway" / "installation" / "system"
 MAX_EXPOSURE = 20
 """Most exposure that ``systemd-analyze security`` may find, in tenths: 2.0 of 10. Units without any protection have 9.6."""
 
@@ -22,7 +22,7 @@ ASSIGNMENTS = {"ATTR", "ENV", "GOTO", "GROUP", "IMPORT", "LABEL", "MODE", "OPTIO
 _TOKEN = re.compile(r'\s*([A-Z]+)(\{[^}"]+\})?\s*(==|!=|\+=|-=|:=|=)\s*"([^"]*)"\s*(,|$)')
 
 
-def check_units(folder: Path = DEPLOY / "systemd") -> list[str]:
+def check_units(folder: Path = SYSTEM) -> list[str]:
     """Return what systemd finds wrong with the units, and those that are too exposed."""
     units = sorted(folder.glob("*.service"))
     problems = [] if units else [f"{folder}: no units"]
@@ -42,7 +42,7 @@ def check_units(folder: Path = DEPLOY / "systemd") -> list[str]:
     return problems
 
 
-def exposures(folder: Path = DEPLOY / "systemd") -> dict[str, str]:
+def exposures(folder: Path = SYSTEM) -> dict[str, str]:
     """Return what ``systemd-analyze security`` says of each unit, in one line."""
     found = {}
     for unit in sorted(folder.glob("*.service")):
@@ -53,7 +53,7 @@ def exposures(folder: Path = DEPLOY / "systemd") -> dict[str, str]:
     return found
 
 
-def check_rules(folder: Path = DEPLOY / "udev") -> list[str]:
+def check_rules(folder: Path = SYSTEM) -> list[str]:
     """Return what is wrong with the rules, by udev where it can tell, and by its grammar."""
     rules = sorted(folder.glob("*.rules"))
     problems = [] if rules else [f"{folder}: no rules"]

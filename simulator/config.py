@@ -54,18 +54,34 @@ _Gain = Annotated[float, msgspec.Meta(ge=0)] | None
 class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How insects move, where it is to differ from the preset; every key is that of ``simulator.motion.MotionParameters``.
 
-    Attributes
-    ----------
-    persistence, levy_exponent, longest_leg
-        Of the walk in the open.
-    wall_law, wall_speed, exit_hazard, departure_median_deg, departure_log_sd
-        At walls: ``uniform``, ``cosine``, ``mirror`` or ``follow``.
-    stop_hazard, wall_stop_hazard, short_rest_s, long_rest_s, long_rest_share
-        Natural stops.
-    contact_radius, contact_turns, company_stop_gain, company_rest_gain
-        Between insects that touch.
-    mishap_hazard, mishap_rest_s, rescue_probability, death_hazard, loss_hazard, battery_life_s, battery_spread
-        What goes wrong.
+    Keys
+    ----
+    persistence
+        Mean cosine of the turning angle between legs: 0 for isotropic turns.
+    levy_exponent, longest_leg
+        Legs follow a power law with this exponent, cut off at this length; without an exponent they are exponential.
+    wall_law
+        What insects do at walls. uniform: they leave in any direction; cosine, mirror: so that they are everywhere alike; follow: they
+        go along the wall until they depart.
+    wall_speed, exit_hazard
+        Speed along a followed wall [length/s], and how often it is left [per second].
+    departure_median_deg, departure_log_sd
+        Angle between wall and way off it: log-normal, its median [deg] and the standard deviation of its logarithm.
+    stop_hazard, wall_stop_hazard
+        How often insects stop by themselves, in the open and at a followed wall [per second].
+    short_rest_s, long_rest_s, long_rest_share
+        Mean of the short and of the long rests [s], and the share of the long ones.
+    contact_radius, contact_turns
+        Insects this close touch each other [length], and turn away from it.
+    company_stop_gain, company_rest_gain
+        For each insect touched, the stop hazard grows by this share, and so does the mean rest.
+    mishap_hazard, mishap_rest_s, rescue_probability
+        How often a walking insect gets stuck or overturned [per second], for how long on average [s], and how likely another that touches
+        it frees it.
+    death_hazard, loss_hazard
+        How often an insect dies, and how often it loses its backpack [per second].
+    battery_life_s, battery_spread
+        When a backpack's battery is flat [s], uniform within this share to either side; without it never.
     """
 
     persistence: Annotated[float, msgspec.Meta(ge=0, le=0.999)] | None = None
@@ -104,8 +120,8 @@ class WorldConfig(RadioKeys, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     A seed, and a scenario or an arena, must be given before a world is made; what else is not given comes from the preset.
 
-    Attributes
-    ----------
+    Keys
+    ----
     scenario, arena
         Name of a scenario, or path of a GeoJSON, SVG or PNG file: one of them.
     arena_scale
@@ -204,8 +220,8 @@ def parse_arena_then(text: str) -> tuple[float, str]:
 class RunConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Configuration of ``biobot-sim run``.
 
-    Attributes
-    ----------
+    Keys
+    ----
     out
         Directory for the results.
     force

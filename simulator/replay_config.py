@@ -12,8 +12,8 @@ from simulator.serve_config import Duration, Period, check_links, split_links
 class ReplayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Configuration of ``biobot-sim replay``; what is not said here is as in ``serve``.
 
-    Attributes
-    ----------
+    Keys
+    ----
     source
         A directory as ``run`` and ``serve`` write it, or a CSV file of encounters with the columns t_start_s, t_end_s, id1, id2.
     speed_factor
@@ -22,6 +22,11 @@ class ReplayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Give the biobots the numbers 1, 2, ... in the order of their recorded ids; needed where these are larger than a node number.
     seed
         For the draws of radios and backpacks; the insects do what they did.
+    link, coordinator_places, coverage_radius, handover_db, drain_s, loss, report_period_s, status_period_s, neighbours_period_s,
+    provisional_s, drift_ppm, battery_life_s, boot, out, force, ready_file, position_samples
+        As in ``biobot-sim serve``.
+    faults
+        A table of its own.
     """
 
     source: str | None = None

@@ -45,8 +45,8 @@ _Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
 class ResponseConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How insects respond to stimulation.
 
-    Attributes
-    ----------
+    Keys
+    ----
     probability
         That a fresh insect responds to a train of at least 1 V; 0.76 is what charge-balanced pulses reach [Cha24]. Below 1 V it falls
         evenly to none at 0 V (own).

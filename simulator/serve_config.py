@@ -20,8 +20,8 @@ _BETWEEN_LINKS = re.compile(r",\s*(?=(?:pty|tcp|serial):)")
 class ServeConfig(WorldConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Configuration of ``biobot-sim serve``, on top of the world's; ``landmarks`` and ``dispersion_s`` are the gateway's business.
 
-    Attributes
-    ----------
+    Keys
+    ----
     link
         The line that a gateway opens: ``pty:PATH``, ``tcp:HOST:PORT`` or ``serial:DEVICE``, with ``?baud=N`` if wanted; or a list of
         them, each with a coordinator of its own behind it. It must be given before anything is served.

@@ -25,7 +25,8 @@ import numpy as np
 
 from studies.bench_floor import measure_floor
 from studies.load_check import Verdict, check_store
-from studies.system import PartFailedError, free_port
+from studies.ports import free_port
+from studies.system import PartFailedError
 
 _START_S: Final = 60.0
 _STOP_S: Final = 30.0

@@ -27,7 +27,8 @@ from studies.live_feeder import NAME as FEEDER
 from studies.live_life import Life, fill_store
 from studies.live_watch import Watch, core_times, peak_memory, share
 from studies.parts import Parts
-from studies.system import PartFailedError, free_port
+from studies.ports import free_port
+from studies.system import PartFailedError
 
 _SWARM: Final = "gateway1"
 _STATUS, _MAP, _HEALTH = "/api/v1/map/status", "/api/v1/map", "/healthz"

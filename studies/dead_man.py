@@ -24,8 +24,9 @@ import numpy as np
 
 from firmware_protocol.messages import Action
 from studies.namespaces import Namespaces
+from studies.ports import free_port
 from studies.stimulus_tap import StimulusTap
-from studies.system import PartFailedError, free_port
+from studies.system import PartFailedError
 
 _HOSTS: Final = {"gateway": 1, "router": 2, "commander": 3}
 _PORT: Final = 7447

@@ -181,3 +181,7 @@ class SummaryError(StudyError):
 
 class CampaignError(StudyError):
     """A campaign of faults cannot be run, or not to its end; the message says why and where the logs are."""
+
+
+class SitesError(StudyError):
+    """The topology of `studies.sites` cannot be set up, or a part of it did not do what it was started for; the message says which."""

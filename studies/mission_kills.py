@@ -22,7 +22,8 @@ from firmware_protocol.contract.records import Cause, MissionPhase, MissionRecor
 from firmware_protocol.units import NodeId
 from gateway.journal_file import JournalReader
 from studies.parts import Parts
-from studies.system import PartFailedError, free_port
+from studies.ports import free_port
+from studies.system import PartFailedError
 
 _KILLED_IN = (MissionPhase.DISPERSION, MissionPhase.LANDMARK_SELECTION, MissionPhase.EXPLORATION)
 _POLL_S = 0.01

@@ -24,8 +24,9 @@ from studies.live_feeder import NAME as FEEDER
 from studies.live_life import Life, fill_store
 from studies.live_watch import core_times, peak_memory, share
 from studies.parts import Parts
+from studies.ports import free_port
 from studies.rest_client import Ask, ask_for, streams_held
-from studies.system import PartFailedError, free_port
+from studies.system import PartFailedError
 
 _STATUS: Final = "/api/v1/map/status"
 _EVENTS: Final = "/api/v1/events"

@@ -34,7 +34,7 @@ from firmware_protocol.message_codec import encode_uplink
 from firmware_protocol.messages import Status, UplinkHeader, WireCause, WireMode
 from firmware_protocol.units import NS_PER_MS, BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
 from simulator.dongles.choice import make_dongle
-from studies.system import free_port
+from studies.ports import free_port
 
 _EVERY_S: Final = 0.02
 _NOISE: Final = random.Random(7).randbytes(65_536)

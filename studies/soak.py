@@ -22,7 +22,8 @@ from typing import Final, TextIO
 
 from studies.live_watch import Watch, children_of
 from studies.parts import Parts
-from studies.system import PartFailedError, free_port
+from studies.ports import free_port
+from studies.system import PartFailedError
 
 _LINKS: Final = ("pty:{out}/native", "tcp:127.0.0.1:0?dialect=xbee", "tcp:127.0.0.1:0?dialect=znp")
 _FAULTS: Final = "bit-flip=1e-5,unplug=0.01,unplug-s=2,stall=0.01,stall-s=1,reset=0.005"

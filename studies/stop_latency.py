@@ -25,10 +25,11 @@ from typing import Any, Final
 from firmware_protocol.contract.commands import StimulationAction
 from mapper.access import Role, add_token
 from studies.bench_gateway import Part
+from studies.ports import free_port
 from studies.stop_asking import RestAsker, ZenohAsker
 from studies.stop_frames import Stop, StopFrames
 from studies.stop_report import report
-from studies.system import PartFailedError, free_port
+from studies.system import PartFailedError
 
 LINES: Final = ("native/pty", "native/tcp", "xbee/pty", "xbee/tcp", "znp/pty", "znp/tcp", "can/tcp", "canfd/tcp")
 _BIOBOTS: Final = 256

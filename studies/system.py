@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
 from mapper.access import Role, add_token
+from studies.ports import free_port
 
 _ValueT = TypeVar("_ValueT")
 
@@ -46,6 +46,8 @@ class SystemSettings:
     drain_s: float = 10.0
     link: str = "pty"
     """``pty``, ``tcp`` or ``slcan`` with options, such as ``slcan?fd=1``: what stands between simulator and gateway."""
+    begins_by_itself: bool = True
+    """The mission begins when biobots are heard; False: when somebody orders it."""
     http_port: int = 0
     simulator_args: tuple[str, ...] = ()
     gateway_args: tuple[str, ...] = ()
@@ -98,9 +100,10 @@ class RunningSystem:
     def gateway_arguments(self) -> list[str]:
         """Return the arguments that start the gateway, so that a test can start it again."""
         settings = self.settings
+        mission = ["--mission"] if settings.begins_by_itself else []
         return [
             "gateway", "run", "--port", self.radio, "--journal", str(settings.out / "gateway.sqlite"), "--listen", self.bus_endpoint,
-            "--mission", "--dispersion-s", str(settings.dispersion_s), "--landmarks", str(settings.n_landmarks), *settings.gateway_args,
+            *mission, "--dispersion-s", str(settings.dispersion_s), "--landmarks", str(settings.n_landmarks), *settings.gateway_args,
         ]  # fmt: skip
 
     def get(self, path: str) -> Any:
@@ -169,7 +172,7 @@ class RunningSystem:
             "--duration", str(settings.dispersion_s + settings.exploration_s), "--drain-s", str(settings.drain_s),
             "--out", str(self.truth_directory), "--ready-file", str(ready), *settings.simulator_args,
         ])  # fmt: skip
-        self.radio = self.wait_for(lambda: ready.read_text().strip() if ready.exists() else None, what="simulator ready", timeout_s=60)
+        self.radio = self.wait_for(lambda: ready.read_text().strip() if ready.exists() else None, what="simulator ready", timeout_s=120)
         self.start_process("gateway", self.gateway_arguments())
         self.start_mapper()
 
@@ -185,7 +188,7 @@ class RunningSystem:
             "--port", str(settings.http_port), "--url-file", str(url_file), "--tokens", str(tokens), *settings.mapper_args,
         ])  # fmt: skip
         self.url = self.wait_for(
-            lambda: url_file.read_text().strip() if url_file.exists() else None, what="mapper ready", timeout_s=60
+            lambda: url_file.read_text().strip() if url_file.exists() else None, what="mapper ready", timeout_s=120
         ).rstrip("/")
 
     def _asking(self, path: str, *, body: Mapping[str, object] | None = None) -> urllib.request.Request:
@@ -198,14 +201,6 @@ class RunningSystem:
     def _request(self, request: urllib.request.Request) -> Any:
         with urllib.request.urlopen(request, timeout=60) as answer:
             return json.loads(answer.read())
-
-
-def free_port() -> int:
-    """Return a TCP port on the loopback interface that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 def _environment() -> dict[str, str]:

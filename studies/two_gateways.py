@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from studies.ledger import Ledger, check_ledger
-from studies.system import PartFailedError, free_port
+from studies.ports import free_port
+from studies.system import PartFailedError
 
 _POLL_S: Final = 0.05
 _START_S: Final = 60.0

@@ -1,12 +1,18 @@
 """Hypothesis profiles: the same examples on every run in CI, fresh ones by hand; a few where each takes long.
 
+Tests with real processes begin first: they take longest, and none is left for the end, when the other workers have nothing to do.
+
 And interrupts as at a terminal: a shell that starts the tests in the background has them ignored, by all programs that the tests start too.
 """
 
 import os
 import signal
+from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, settings
+
+from tests.one_worker import OneWorkerEach
 
 settings.register_profile("ci", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -15,3 +21,13 @@ settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.get_closest_marker("e2e") is None)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    return OneWorkerEach(config, log)

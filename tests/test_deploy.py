@@ -1,4 +1,4 @@
-"""Units and rules of deploy/ are what their own tools take, and faults in them are found."""
+"""Units and rules of gateway/installation/system are what their own tools take, and faults in them are found."""
 
 import shutil
 import tomllib
@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from gateway.__main__ import main
-from scripts.deploy_check import DEPLOY, check_rules, check_units, exposures
+from scripts.deploy_check import SYSTEM, check_rules, check_units, exposures
 from studies.reference import COMMANDS
 
-UNITS = sorted((DEPLOY / "systemd").glob("*.service"))
+UNITS = sorted(SYSTEM.glob("*.service"))
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not here: install systemd")
 
 
@@ -30,7 +30,7 @@ def test_systemd_finds_nothing_wrong_with_the_units_and_little_exposed() -> None
     ],
 )
 def test_a_fault_in_a_unit_is_found(tmp_path: Path, old: str, new: str, word: str) -> None:
-    text = (DEPLOY / "systemd" / "biobot-gateway.service").read_text()
+    text = (SYSTEM / "biobot-gateway.service").read_text()
     assert old in text
     broken = text.replace(old, new)
     if word == "Overall exposure":
@@ -61,7 +61,7 @@ def test_a_fault_in_a_rule_is_found(tmp_path: Path, line: str, word: str) -> Non
 
 @pytest.mark.parametrize("name", ["biobot-gateway", "biobot-mapper", "biobot-router"])
 def test_each_unit_starts_a_command_that_there_is_and_is_started_for_ever(name: str) -> None:
-    unit = DEPLOY / "systemd" / f"{name}.service"
+    unit = SYSTEM / f"{name}.service"
     keys = [line.split("=", 1) for line in unit.read_text().splitlines() if "=" in line and not line.startswith("#")]
     (command,) = [value.split() for key, value in keys if key == "ExecStart"]
     values = dict(keys)
@@ -70,6 +70,6 @@ def test_each_unit_starts_a_command_that_there_is_and_is_started_for_ever(name: 
 
 
 def test_the_example_configurations_are_valid(capsys: pytest.CaptureFixture[str]) -> None:
-    example = DEPLOY / "gateway.toml"
+    example = SYSTEM / "gateway.toml"
     assert main(["--config", str(example), "--check-config"]) == 0, capsys.readouterr().err
     assert tomllib.loads(example.read_text())["monitor"]["listen"] == "127.0.0.1:9466"

@@ -18,6 +18,7 @@ class MissionAction(Enum):
     PAUSE = "pause"
     """Command nobody until it is resumed. Biobots go on as they are."""
     RESUME = "resume"
+    """Go on where it was paused."""
     SELECT = "select"
     """End dispersion now, and choose the landmarks."""
     REDISPERSE = "redisperse"

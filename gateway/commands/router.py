@@ -22,13 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tls-ca", metavar="FILE", help="certificate of the authority")
     parser.add_argument("--tls-certificate", metavar="FILE", help="certificate of this router")
     parser.add_argument("--tls-key", metavar="FILE", help="private key to it")
+    parser.add_argument("--ping", action="store_true", help="only ask the one that runs with this configuration; status 1: no answer")
     parser.add_argument("--log-level", choices=["DEBUG", "INFO", "WARNING", "ERROR"])
     # SUPPRESS: what was given before the word "router" stays when it is not given again after it.
     add_config(parser, default=argparse.SUPPRESS, prefix=ENVIRONMENT_PREFIX)
 
 
 def router(options: argparse.Namespace) -> int:
-    """Run a router until it is told to stop."""
+    """Run a router until it is told to stop, or ask the one that runs."""
     config = load_router_config(
         toml_path=options.config,
         environment=os.environ,
@@ -45,8 +46,11 @@ def router(options: argparse.Namespace) -> int:
     if options.check_config:
         print(json.dumps(msgspec.to_builtins(config), indent=2))
         return DONE
-    set_up_logging(level=config.log_level)
-    from gateway.router import run_router  # noqa: PLC0415  # Zenoh loads 33 MB, which --help and --check-config do not need
+    from gateway.router import ping_router, run_router  # noqa: PLC0415  # Zenoh loads 33 MB, which --help and --check-config do not need
 
+    if options.ping:
+        ping_router(config)
+        return DONE
+    set_up_logging(level=config.log_level)
     run_router(config)
     return DONE

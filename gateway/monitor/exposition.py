@@ -43,7 +43,7 @@ _QUEUES = {
     "bus.waiting_puts": "publications",
     "encounters.in_memory": "encounters_in_memory",
 }
-_DURATIONS = {
+DURATIONS = {
     "journal.commit": ("journal_commit_seconds", "Time that the disk took for a group of writes, with all attempts."),
     "acknowledge": ("acknowledgement_seconds", "Time from a message's being on disk until its acknowledgement went to a radio."),
     "encounter.error": ("encounter_error_bound_seconds", "Widest error bound of the encounters of one commit."),
@@ -144,7 +144,7 @@ def _state(vitals: Vitals) -> Iterator[Metric]:
 
 def _durations(vitals: Vitals) -> Iterator[Metric]:
     observed = vitals.health.durations()
-    for name, (metric, about) in _DURATIONS.items():
+    for name, (metric, about) in DURATIONS.items():
         if name not in observed:
             continue
         n, buckets = 0, []

@@ -8,6 +8,7 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
 from http import HTTPStatus
+from importlib.metadata import version
 from typing import Any, Self
 
 import uvicorn
@@ -101,7 +102,15 @@ class MonitorApp:
                 return HTTPStatus.OK, CONTENT_TYPE, expose(self._registry)
             case "/healthz":
                 faults = self._vitals.faults()
-                return _told(faults, {"status": "faulty" if faults else "ok", "faults": faults, "warnings": self._vitals.warnings()})
+                return _told(
+                    faults,
+                    {
+                        "status": "faulty" if faults else "ok",
+                        "software": version("biobot-gateway"),
+                        "faults": faults,
+                        "warnings": self._vitals.warnings(),
+                    },
+                )
             case "/readyz":
                 missing = [*self._vitals.faults(), *self._vitals.missing()]
                 return _told(missing, {"is_ready": not missing, "missing": missing})

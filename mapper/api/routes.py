@@ -6,6 +6,7 @@ records and the process; the map's are in ``map_routes``, ``picture_routes`` and
 
 import time
 from http import HTTPStatus
+from importlib.metadata import version
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Query, Request, Response
@@ -39,6 +40,7 @@ from mapper.api.views import (
     view_gateway,
     view_gateways,
 )
+from mapper.presence import presence_of
 from mapper.store import Store
 
 _MAX_CURSOR: Final = 2**63 - 1
@@ -68,14 +70,18 @@ def _add_record_routes(router: APIRouter, services: Services) -> None:
     @router.get("/api/v1/biobots", tags=["biobots"], responses=describe_answers(BiobotList))
     async def get_biobots() -> Response:
         """List all biobots and gateways with their last known state."""
-        now_ns = time.monotonic_ns()
+        now_ns, lost_s = time.monotonic_ns(), services.alerts.lost_s
+        gateways = {view.name: view for view in services.fleet.gateways(now_ns=now_ns)}
         return json_response(
             {
                 "now_wall_ns": time.time_ns(),
-                "gateways": [view_gateway(view) for view in services.fleet.gateways(now_ns=now_ns)],
+                "lost_after_s": lost_s,
+                "gateways": [view_gateway(view) for view in gateways.values()],
                 "mappers": services.fleet.mappers(),
                 "commanders": services.fleet.commanders(),
-                "biobots": [view_biobot(view) for view in services.fleet.biobots(now_ns=now_ns)],
+                "biobots": [
+                    view_biobot(view, presence_of(view, gateways=gateways, lost_s=lost_s)) for view in services.fleet.biobots(now_ns=now_ns)
+                ],
             }
         )
 
@@ -121,6 +127,7 @@ def _add_watch_routes(router: APIRouter, services: Services, stream: EventStream
         return json_response(
             {
                 "status": "degraded" if faults else "ok",
+                "software": version("biobot-gateway"),
                 "wall_ns": time.time_ns(),
                 "n_encounters": status.n_known,
                 "map_version": status.snapshot.version if status.snapshot else None,

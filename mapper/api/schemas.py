@@ -76,6 +76,9 @@ class BiobotItem(AnswerModel):
     key: str = Field(description="The id as text, for programs that cannot hold 64-bit numbers")
     gateway: str
     is_reachable: bool
+    state: Literal["online", "lost", "unknown"] = Field(
+        description="lost: silent for longer than lost_after_s, though gateway and radio listen; unknown: they do not, or it never spoke"
+    )
     mode: Literal["CRW", "S"]
     cause: Literal["command", "natural"]
     is_landmark: bool
@@ -85,6 +88,9 @@ class BiobotItem(AnswerModel):
     rssi_dbm: int | None
     lqi: int | None
     last_heard_wall_ns: int | None
+    silence_s: float | None = Field(
+        description="How long it was not heard when this was answered, by the clock of the gateway that heard it last"
+    )
     buffered: int | None
     dropped: int | None
     firmware: int | None
@@ -96,6 +102,7 @@ class BiobotList(AnswerModel):
     """All biobots and gateways; ``now_wall_ns`` is this service's clock."""
 
     now_wall_ns: int
+    lost_after_s: float = Field(description="The silence after which a biobot is lost, here and in alerts: [alerts] lost_s")
     gateways: list[GatewayItem]
     mappers: list[str] = Field(description="Mappers on the bus, this one among them")
     commanders: list[str] = Field(description="Commanders on the bus: whom they move is stopped when they are gone")
@@ -339,6 +346,7 @@ class HealthView(AnswerModel):
     """The process answers; counters since its start."""
 
     status: Literal["ok", "degraded"] = Field(description="degraded: it answers, but there are faults")
+    software: str = Field(description="Version of the program")
     wall_ns: int
     n_encounters: int
     map_version: int | None

@@ -12,6 +12,7 @@ from mapper.current_map import MapStatus
 from mapper.encounter_pages import JointEncounter
 from mapper.fleet import BiobotView, GatewayView
 from mapper.gateway_clocks import SourceClock
+from mapper.presence import Presence
 
 JSON_TYPE = "application/json"
 
@@ -37,13 +38,14 @@ def view_gateway(view: GatewayView) -> dict[str, object]:
     }
 
 
-def view_biobot(view: BiobotView) -> dict[str, object]:
+def view_biobot(view: BiobotView, presence: Presence) -> dict[str, object]:
     """Describe a biobot."""
     return {
         "id": view.node,
         "key": str(view.node),
         "gateway": view.gateway,
         "is_reachable": view.is_reachable,
+        "state": presence,
         "mode": view.mode,
         "cause": view.cause,
         "is_landmark": view.is_landmark,
@@ -53,6 +55,7 @@ def view_biobot(view: BiobotView) -> dict[str, object]:
         "rssi_dbm": view.rssi_dbm,
         "lqi": view.lqi,
         "last_heard_wall_ns": view.last_heard_wall_ns,
+        "silence_s": None if view.silence_s is None else round(view.silence_s, 3),
         "buffered": view.buffered,
         "dropped": view.dropped,
         "firmware": view.firmware,

@@ -5,6 +5,21 @@ import { age, clock, count, secondsOf } from "./format.js";
 
 const BIOBOT = /^biobot (\d+)$/;
 
+// What many of a kind are called, after their number.
+const MANY = {
+  biobot_lost: "biobots lost",
+  biobot_stuck: "biobots stuck",
+  battery_low: "batteries low",
+  gateway_away: "gateways away",
+  gateway_event: "events at gateways",
+  gateway_fault: "faults of gateways",
+  radio_down: "radios down",
+  disk_full: "disks full",
+  landmark_lost: "landmarks lost",
+  new_hole: "new holes",
+  hole_vanished: "holes vanished",
+};
+
 /** The key of the biobot that an alert is about, or null. */
 export function biobotOf({ subject }) {
   return BIOBOT.exec(subject)?.[1] ?? null;
@@ -66,11 +81,11 @@ export class AlertGroup {
   }
 
   show(alerts) {
-    const words = this.kind.replaceAll("_", " ");
+    const words = MANY[this.kind] ?? `alerts: ${this.kind.replaceAll("_", " ")}`;
     this.open = alerts.filter((alert) => !alert.acknowledged_by);
     this.element.className = `${alerts[0].severity} group ${this.open.length ? "" : "seen"}`;
     setText(this.severity, alerts[0].severity);
-    setText(this.title, `${count(alerts.length)} × ${words}`);
+    setText(this.title, `${count(alerts.length)} ${words}`);
     setText(this.subjects, alerts.map(({ subject }) => subject.replace(/^biobot /, "")).join(", "));
     setText(this.acknowledge, `Acknowledge all (${count(this.open.length)})`);
     this.acknowledge.setAttribute("aria-label", `Acknowledge all (${count(this.open.length)}): ${words}`);

@@ -1,8 +1,5 @@
 // What is said of a biobot, from what the mapper knows of it. Pure: the time is an argument.
 
-import { secondsOf } from "./format.js";
-
-const LOST_AFTER_S = 60;
 // dBm; a CC2530 hears down to about -97 (data sheet SWRS081, typical), so that the last step has 12 dB of margin.
 const STRONG_DBM = -65;
 const FAIR_DBM = -75;
@@ -10,16 +7,9 @@ const WEAK_DBM = -85;
 
 const NAMES = { walking: "walking", landmark: "landmark", halted: "stopped", still: "still" };
 
-/** Seconds since it was heard, or null if it never was. */
+/** Seconds since it was heard, or null if it never was; `toldS` is when the mapper told of it, by the mapper's clock. */
 export function silenceOf(biobot, nowS) {
-  return biobot.last_heard_wall_ns === null ? null : Math.max(0, nowS - secondsOf(biobot.last_heard_wall_ns));
-}
-
-/** online, lost, or unknown: whose gateway is away, or who never spoke, of that one nobody can tell. */
-export function stateOf(biobot, nowS) {
-  const silence = silenceOf(biobot, nowS);
-  if (!biobot.is_reachable || silence === null) return "unknown";
-  return silence > LOST_AFTER_S ? "lost" : "online";
+  return biobot.silence_s === null ? null : biobot.silence_s + Math.max(0, nowS - biobot.toldS);
 }
 
 export function modeOf(biobot) {
@@ -37,16 +27,16 @@ export function linkOf(biobot) {
 }
 
 /** How many are in each state. */
-export function countStates(biobots, nowS) {
+export function countStates(biobots) {
   const counts = { online: 0, lost: 0, unknown: 0 };
-  biobots.forEach((biobot) => counts[stateOf(biobot, nowS)]++);
+  biobots.forEach(({ state }) => counts[state]++);
   return counts;
 }
 
 /** Whether a biobot is one of those that are looked for: by words, each of which begins its id, state, mode, or gateway; and by a
  * kind. `low` are the keys of those whose battery is low. */
-export function isWanted(biobot, { words, kind, nowS, low }) {
-  const state = stateOf(biobot, nowS), mode = modeOf(biobot);
+export function isWanted(biobot, { words, kind, low }) {
+  const { state } = biobot, mode = modeOf(biobot);
   const isOfKind = { "": true, low: low.has(biobot.key), still: mode === "still" || mode === "stopped" }[kind] ?? (kind === state || kind === mode);
   return isOfKind && words.every((word) => [biobot.key, state, mode, biobot.gateway].some((text) => text.toLowerCase().startsWith(word)));
 }
@@ -58,7 +48,7 @@ const number = (value) => value ?? Number.NEGATIVE_INFINITY;
 /** Comparisons by column; `rates` are encounters per minute by key. Ids are compared as text: they may have 64 bits. */
 export function orderBy(column, { nowS, rates }) {
   const values = {
-    state: (biobot) => STATES.indexOf(stateOf(biobot, nowS)),
+    state: ({ state }) => STATES.indexOf(state),
     mode: modeOf,
     battery: (biobot) => number(biobot.battery_mv),
     heard: (biobot) => number(silenceOf(biobot, nowS)),

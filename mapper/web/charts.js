@@ -7,6 +7,7 @@ import { ExportsPanel } from "./exports_panel.js";
 import { count } from "./format.js";
 import { Headline } from "./headline.js";
 import { HoleList, isSame } from "./hole_list.js";
+import { findAgain } from "./hole_match.js";
 import { buildMapCard } from "./map_card.js";
 import { unitOf } from "./map_scene.js";
 import { MapView } from "./map_view.js";
@@ -107,7 +108,10 @@ class Charts {
     this.shown = shown;
     const { map, isLive } = shown;
     this.card.waiting.hidden = true;
-    if (before.map?.version !== map.version) this.hovered = this.kept = null;
+    // What is looked at stays marked while the map grows; who slides through the past begins anew.
+    if (before.map && before.map.version !== map.version) {
+      [this.hovered, this.kept] = [this.hovered, this.kept].map((chosen) => (isLive && before.isLive ? findAgain(chosen, before.map, map) : null));
+    }
     if (!isLive) {
       this.scale.share = null;
       this.verdict.expect(null);
@@ -272,11 +276,26 @@ class Charts {
     this.markPlaces();
   }
 
-  /** Bring a place that others name ("landmark:7") into sight. */
-  look(place) {
+  /** Bring a place that others name ("landmark:7", "biobot:9") into sight; a way can begin or end there. */
+  async look(place) {
+    if (!this.shown.isLive) await this.time.returnToLive();
     const landmark = this.view.scene?.landmarks.find((one) => place === `landmark:${one.id}`);
-    if (!landmark) return;
-    this.view.centre(landmark.place);
-    this.view.mark({ spot: landmark.place });
+    const spot = landmark?.place ?? (await this.findPlace(place));
+    if (!spot) return;
+    this.view.centre(spot);
+    this.view.mark({ spot });
+    this.places.takeSpot({ place, words: place.replace(":", " ") });
+  }
+
+  /** Where the mapper takes a place to be, in the picture; null, with the reason told, where it is on no map. */
+  async findPlace(place) {
+    try {
+      const { from } = await this.net.getJson(`/api/v1/distance?${new URLSearchParams({ from: place, to: place })}`);
+      return this.view.scene?.toPicture([from.x, from.y], from.component) ?? null;
+    } catch (problem) {
+      if (problem.status === undefined) throw problem;
+      tell(problem.text, false);
+      return null;
+    }
   }
 }

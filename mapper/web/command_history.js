@@ -16,7 +16,7 @@ export class CommandHistory {
   show({ commands }) {
     this.empty.hidden = commands.length > 0;
     this.list.replaceChildren(...commands.map((command) => {
-      const { isFine, text } = describe({ outcome: command.outcome, stage: command.stages.at(-1)?.stage, reason: command.reason });
+      const { isFine, text } = describe({ outcome: command.outcome, stage: command.stages.at(-1)?.stage, reason: command.reason, refusal: command.refusal });
       const whom = command.biobot === null ? "" : ` biobot ${command.biobot}`;
       return make("li", {},
         make("time", {}, clock(secondsOf(command.began_wall_ns))),

@@ -14,9 +14,13 @@ const OUTCOMES = {
   undelivered: "not delivered",
 };
 
+// What was refused by a limit that spares the animal (docs/stimulation.md).
+const CARE = new Set(["gap", "trains", "on_time", "pulse"]);
+const SPARED = "refused to spare the animal";
+
 /** What to tell of an answer to a command, as it stands: {isFine, text}; isFine is null while it is under way. */
-export function describe({ outcome, stage, reason }) {
-  const words = outcome ? OUTCOMES[outcome] ?? outcome : STAGES[stage] ?? "no answer yet";
+export function describe({ outcome, stage, reason, refusal }) {
+  const words = CARE.has(refusal) ? SPARED : outcome ? OUTCOMES[outcome] ?? outcome : STAGES[stage] ?? "no answer yet";
   return { isFine: outcome ? outcome === "biobot_confirmed" : null, text: reason ? `${words}: ${reason}` : words };
 }
 
@@ -27,11 +31,12 @@ export function stepOf({ outcome, stages }) {
   return told.has("radio_confirmed") ? 2 : told.has("accepted") ? 1 : 0;
 }
 
-/** Give a command and follow it to its end, telling each stage: {isFine, text, step}. Under one id, so that asking twice gives it once. */
-export async function giveCommand({ key, action, onStage }) {
+/** Give a command and follow it to its end, telling each stage: {isFine, text, step}. Under one id, so that asking twice gives it once.
+ * `more` is what else the request has: hold_ms, pulse. */
+export async function giveCommand({ key, action, more = {}, onStage }) {
   let step = 0;
   try {
-    let command = await send("POST", "/api/v1/commands", { biobot: key, action, id: crypto.randomUUID(), wait_s: 0 }, { tries: 2 });
+    let command = await send("POST", "/api/v1/commands", { biobot: key, action, ...more, id: crypto.randomUUID(), wait_s: 0 }, { tries: 2 });
     while (command.outcome === null) {
       step = stepOf(command);
       if (command.stages.length) onStage({ isFine: null, step, text: describe(command.stages.at(-1)).text });
@@ -41,6 +46,8 @@ export async function giveCommand({ key, action, onStage }) {
     return { ...describe(command), step: stepOf(command) };
   } catch (problem) {
     if (problem.status === undefined) throw problem;
-    return { isFine: false, step, text: problem.status === 0 ? UNREACHED : problem.text };
+    if (problem.status === 0) return { isFine: false, step, text: UNREACHED };
+    const { outcome, reason, refusal } = problem.facts;
+    return { isFine: false, step, text: outcome ? describe({ outcome, reason, refusal }).text : problem.text };
   }
 }

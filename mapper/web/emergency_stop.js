@@ -90,8 +90,8 @@ export class EmergencyStop {
 }
 
 function words(answer) {
-  const told = describe(answer).text;
-  return answer.outcome === "biobot_confirmed" && !answer.reason ? "confirmed by all that can be reached" : told;
+  if (answer.outcome !== "biobot_confirmed") return describe(answer).text;
+  return answer.reason ? `confirmed: ${answer.reason}` : "confirmed by all that can be reached";
 }
 
 function tone(isFine) {

@@ -17,7 +17,11 @@ export class Headline {
       this.values[name] = make("dd", { id: name }, "–");
       list.append(make("div", { className: isMain ? "figure main" : "figure" }, this.words[name], this.values[name]));
     }
-    this.notices = make("p", { id: "notices", className: "notices", role: "status" });
+    this.limits = make("p");
+    this.notes = make("summary");
+    this.warnings = make("ul");
+    this.doubts = make("details", {}, this.notes, this.warnings);
+    this.notices = make("div", { id: "notices", className: "notices", hidden: true }, this.limits, this.doubts);
     root.replaceChildren(list, this.notices);
   }
 
@@ -36,7 +40,19 @@ export class Headline {
     const error = Math.max(...map.components.map((part) => part.scale?.error ?? 0));
     const { factor, unit } = unitOf(map, map.components.findIndex((part) => part.diameter === map.diameter));
     setText(this.values.diameter, length(map.diameter * factor, unit) + (error && !map.frame ? ` ± ${Math.round(100 * error)} %` : ""));
-    setText(this.notices, [...limits(map), ...map.warnings].join(" · "));
+    this.showNotices(limits(map), map.warnings);
+  }
+
+  /** What limits the map is said outright; what its maker says of how it was made is there for who asks. */
+  showNotices(told, warnings) {
+    this.notices.hidden = told.length + warnings.length === 0;
+    this.limits.hidden = told.length === 0;
+    setText(this.limits, told.join(" · "));
+    this.doubts.hidden = warnings.length === 0;
+    setText(this.notes, warnings.length === 1 ? "1 note on how this map was made" : `${count(warnings.length)} notes on how this map was made`);
+    if (warnings.join() === this.shown) return;
+    this.shown = warnings.join();
+    this.warnings.replaceChildren(...warnings.map((text) => make("li", {}, text)));
   }
 
   /** Before the first map: how many encounters there are. */

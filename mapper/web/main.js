@@ -32,12 +32,16 @@ new Panel({ panel: element("help"), opener: element("help-open") });
 const tabs = new Tabs({ list: element("tabs") });
 const live = new Live();
 const account = new Account({ onChange: () => live.restart() });
-const stateLine = new StateLine({ live });
-const onLandmark = (key) => {
-  tabs.showMap();
-  document.dispatchEvent(new CustomEvent("charts:show-place", { detail: { place: `landmark:${key}` } }));
+const onSwarm = (kind) => {
+  tabs.want(element("tab-biobots"));
+  roster.showOnly(kind);
 };
-const roster = new Roster({ account, live, onCounts: (counts, n) => stateLine.showSwarm(counts, n), onLandmark });
+const stateLine = new StateLine({ live, onSwarm });
+const onPlace = (place) => {
+  tabs.showMap();
+  document.dispatchEvent(new CustomEvent("charts:show-place", { detail: { place } }));
+};
+const roster = new Roster({ account, live, onCounts: (counts, n) => stateLine.showSwarm(counts, n), onPlace });
 const mission = new Mission({ panel: element("mission"), account, live });
 const history = new CommandHistory({ panel: element("mission") });
 const onBiobot = (key) => {

@@ -1,10 +1,11 @@
 // The table of biobots: sorted, searched, and moved through by the arrow keys. Rows are changed in place, so that focus stays, and not all in
 // one frame: there may be hundreds.
 
+import { BiobotPanel } from "./biobot_panel.js";
 import { countStates, isWanted, orderBy } from "./biobot_state.js";
 import { giveCommand } from "./commands.js";
 import { make, makeButton, setHidden, setText } from "./dom.js";
-import { count } from "./format.js";
+import { age, count, secondsOf } from "./format.js";
 import { reorder } from "./row_order.js";
 import { RowPainter } from "./row_painter.js";
 import { COLUMNS, RosterRow } from "./roster_row.js";
@@ -12,8 +13,8 @@ import { COLUMNS, RosterRow } from "./roster_row.js";
 const element = (id) => document.getElementById(id);
 
 export class Roster {
-  constructor({ account, live, onCounts, onLandmark }) {
-    Object.assign(this, { account, live, onCounts, onLandmark });
+  constructor({ account, live, onCounts, onPlace }) {
+    Object.assign(this, { account, live, onCounts, onPlace });
     this.rows = new Map();
     this.rates = new Map();
     this.low = new Set();
@@ -21,6 +22,7 @@ export class Roster {
     this.reachable = null;
     Object.assign(this, { shown: [], mustArrange: false, isWaiting: false, moving: null });
     this.body = element("rows");
+    this.panel = new BiobotPanel({ account, live, onCommand: (row, command) => this.command(row, command), onPlace });
     this.painter = new RowPainter({ paint: (row) => this.paint(row) });
     this.makeHead();
     element("filter").addEventListener("input", () => this.arrangeAnew());
@@ -30,13 +32,15 @@ export class Roster {
   }
 
   /** Show the biobots of an answer of /api/v1/biobots. */
-  show({ biobots }) {
+  show({ biobots, now_wall_ns: nowNs, lost_after_s: lostAfterS }) {
+    const toldS = secondsOf(nowNs);
+    document.querySelectorAll(".lost-after").forEach((span) => setText(span, age(lostAfterS)));
     const gone = new Set(this.rows.keys());
     for (const biobot of biobots) {
       gone.delete(biobot.key);
       const row = this.rows.get(biobot.key);
-      if (row) row.biobot = biobot;
-      else this.addRow(biobot);
+      if (row) row.biobot = { ...biobot, toldS };
+      else this.addRow({ ...biobot, toldS });
     }
     gone.forEach((key) => this.removeRow(key));
     this.refresh();
@@ -64,6 +68,14 @@ export class Roster {
     row.update({ nowS: this.live.serverNow(), rate: this.rates.get(row.key) ?? null, isLow: this.low.has(row.key) });
   }
 
+  /** Show those of a kind alone ("": all). */
+  showOnly(kind) {
+    element("only").value = kind;
+    element("filter").value = "";
+    this.arrange();
+    element("only").focus();
+  }
+
   /** Show one biobot alone, and give its row the focus. */
   find(key) {
     element("only").value = "";
@@ -77,11 +89,11 @@ export class Roster {
 
   tick() {
     this.painter.refresh();
-    this.tellCounts();
+    this.panel.refresh();
   }
 
   tellCounts() {
-    this.onCounts(countStates([...this.rows.values()].map((row) => row.biobot), this.live.serverNow()), this.rows.size);
+    this.onCounts(countStates([...this.rows.values()].map((row) => row.biobot)), this.rows.size);
   }
 
   makeHead() {
@@ -148,12 +160,12 @@ export class Roster {
 
   /** Hide the rows that are not looked for, and begin to bring all into order. */
   arrange() {
-    const nowS = this.live.serverNow(), isBusy = this.isBusy();
-    const rows = isBusy ? this.asTheyLie() : this.inOrder(nowS);
+    const isBusy = this.isBusy();
+    const rows = isBusy ? this.asTheyLie() : this.inOrder(this.live.serverNow());
     const words = element("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
     const kind = element("only").value;
     this.mustArrange = false;
-    this.shown = rows.filter((row) => isWanted(row.biobot, { words, kind, nowS, low: this.low }));
+    this.shown = rows.filter((row) => isWanted(row.biobot, { words, kind, low: this.low }));
     const shown = new Set(this.shown);
     rows.forEach((row) => setHidden(row.element, !shown.has(row)));
     element("no-rows").hidden = shown.size > 0;
@@ -175,8 +187,9 @@ export class Roster {
   }
 
   addRow(biobot) {
-    const onCommand = (row, action, label) => this.command(row, action, label);
-    const row = new RosterRow({ biobot, onCommand, onLandmark: this.onLandmark, account: this.account });
+    const onCommand = (row, action, label) => this.command(row, { action, label });
+    const onMore = (row, opener) => this.panel.open(row, opener);
+    const row = new RosterRow({ biobot, onCommand, onMore, onPlace: this.onPlace, account: this.account });
     this.rows.set(row.key, row);
     this.paint(row);
     this.body.append(row.element);
@@ -185,6 +198,7 @@ export class Roster {
 
   removeRow(key) {
     const row = this.rows.get(key);
+    this.panel.closeFor(row);
     this.painter.remove(row);
     row.remove();
     this.rows.delete(key);
@@ -208,16 +222,18 @@ export class Roster {
     next.buttons[Math.max(row.buttons.indexOf(event.target), 0)].focus();
   }
 
-  async command(row, action, label) {
+  /** Give a command and show its stages in the row and in words, here and by `tell`. */
+  async command(row, { action, label, more, tell = () => {} }) {
     const begun = performance.now();
-    const onStage = (stage) => {
+    const show = (stage, words) => {
       row.showCommand(stage, label);
-      this.tell(`${label}: ${stage.text} …`, null);
+      [(text) => this.tell(text, stage.isFine), (text) => tell(text, stage.isFine)].forEach((told) => told(`${label}: ${words}`));
     };
+    const onStage = (stage) => show(stage, `${stage.text} …`);
     onStage({ isFine: null, step: 0, text: "sent" });
-    const end = await giveCommand({ key: row.key, action, onStage });
-    row.showCommand(end, label);
-    this.tell(`${label}: ${end.text} (${((performance.now() - begun) / 1000).toFixed(1)} s)`, end.isFine);
+    const end = await giveCommand({ key: row.key, action, more, onStage });
+    show(end, `${end.text} (${((performance.now() - begun) / 1000).toFixed(1)} s)`);
+    this.panel.refresh();
   }
 
   tell(text, isFine) {

@@ -1,6 +1,6 @@
 // One biobot in the table: what is said of it, its commands, and how far the last one has come.
 
-import { linkOf, modeOf, silenceOf, stateOf } from "./biobot_state.js";
+import { linkOf, modeOf, silenceOf } from "./biobot_state.js";
 import { make, makeButton, setClass, setHidden, setText, setTitle } from "./dom.js";
 import { age, count } from "./format.js";
 
@@ -24,7 +24,7 @@ const STEPS = ["sent", "accepted by the gateway", "sent by the radio", "confirme
 const LAST_STEP = 3;
 
 export class RosterRow {
-  constructor({ biobot, onCommand, onLandmark, account }) {
+  constructor({ biobot, onCommand, onMore, onPlace, account }) {
     const { key } = biobot;
     this.key = key;
     this.account = account;
@@ -36,15 +36,18 @@ export class RosterRow {
       this.cells[name].append(span);
       return span;
     });
-    this.place = makeButton("landmark", () => onLandmark(key), { className: "mode landmark", tabIndex: -1, hidden: true, "aria-label": `landmark: show ${key} on the map` });
+    this.place = makeButton("landmark", () => onPlace(`landmark:${key}`), { className: "mode landmark", tabIndex: -1, hidden: true, "aria-label": `landmark: show ${key} on the map` });
     this.cells.mode.append(this.place);
     this.dbm = make("span", { className: "dbm" });
     this.link.append(this.dbm);
     this.buttons = ACTIONS.map(({ action, label, name }) => {
       const button = makeButton(label, () => onCommand(this, action, name(key)), { className: action, tabIndex: -1, "aria-label": name(key) });
-      account.guard(button, "operator", () => (this.isUnderWay && action !== "stop" ? `Biobot ${key} has a command under way; only a stop can follow.` : null));
+      account.guard(button, "operator", () => this.refusalOf(action));
       return button;
     });
+    this.guarded = [...this.buttons];
+    const more = makeButton("⋯", () => onMore(this, more), { className: "more", tabIndex: -1, "aria-label": `More of biobot ${key}`, "aria-haspopup": "dialog" });
+    this.buttons.push(more);
     this.steps = make("span", { className: "steps", role: "img", hidden: true }, ...Array.from({ length: LAST_STEP }, () => make("i")));
     const commands = make("td", { role: "cell", className: "c-commands" }, make("div", { className: "actions" }, ...this.buttons, this.steps));
     // Said outright: where rows are no table rows to look at, on a phone, they still are to a screen reader.
@@ -54,7 +57,7 @@ export class RosterRow {
   /** Show what is known of `this.biobot` now; only what is new touches the document. */
   update({ nowS, rate, isLow }) {
     const { biobot } = this;
-    const mode = modeOf(biobot), state = stateOf(biobot, nowS);
+    const mode = modeOf(biobot);
     setText(this.mode, mode);
     setClass(this.mode, `mode ${mode}`);
     setHidden(this.mode, biobot.is_landmark);
@@ -67,17 +70,22 @@ export class RosterRow {
     setText(this.dbm, words);
     setClass(this.link, bars === null ? "link" : `link bars${bars}`);
     setTitle(this.link, more ?? "");
+    setText(this.state, biobot.state);
+    setClass(this.state, `state ${biobot.state}`);
+    setClass(this.element, biobot.state);
     setTitle(this.element, biobot.is_reachable ? `through ${biobot.gateway}` : `gateway ${biobot.gateway} is away`);
-    setText(this.state, state);
-    setClass(this.state, `state ${state}`);
-    setClass(this.element, state);
     setText(this.cells.heard, age(silenceOf(biobot, nowS)));
+  }
+
+  /** Why an action cannot be asked for now, or null. */
+  refusalOf(action) {
+    return this.isUnderWay && action !== "stop" ? `Biobot ${this.key} has a command under way; only a stop can follow.` : null;
   }
 
   /** Say how far a command has come; while one is under way, only stops can be given. */
   showCommand({ isFine, step, text }, label) {
     this.isUnderWay = isFine === null;
-    this.buttons.forEach((button) => this.account.review(button));
+    this.guarded.forEach((button) => this.account.review(button));
     this.steps.hidden = false;
     this.steps.className = `steps ${isFine === null ? "" : isFine ? "good" : "bad"}`;
     [...this.steps.children].forEach((dot, index) => {
@@ -90,7 +98,7 @@ export class RosterRow {
 
   /** Take it off the page. */
   remove() {
-    this.buttons.forEach((button) => this.account.forget(button));
+    this.guarded.forEach((button) => this.account.forget(button));
     this.element.remove();
   }
 

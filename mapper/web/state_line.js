@@ -11,8 +11,10 @@ const GRACE_S = 2;
 const element = (id) => document.getElementById(id);
 
 export class StateLine {
-  constructor({ live }) {
+  /** `onSwarm(kind)`: somebody wants to see those that are `lost`, else `unknown`, else all (""). */
+  constructor({ live, onSwarm }) {
     this.live = live;
+    element("swarm").addEventListener("click", () => onSwarm(this.worst));
     this.gateways = [];
     this.faults = [];
     this.map = null;
@@ -51,6 +53,8 @@ export class StateLine {
   showSwarm({ online, lost, unknown }, n) {
     const chip = element("swarm");
     chip.hidden = n === 0;
+    this.worst = lost ? "lost" : unknown ? "unknown" : "";
+    chip.title = this.worst ? `Show those that are ${this.worst}` : "Show all";
     const parts = [`${count(online)} online`, lost ? `${count(lost)} lost` : "", unknown ? `${count(unknown)} unknown` : ""].filter(Boolean);
     setText(chip, parts.join(", "));
     setClass(chip, `chip ${lost ? "state-warn" : ""}`);

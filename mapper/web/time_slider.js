@@ -101,6 +101,8 @@ export class TimeSlider {
     const isLive = this.version === null;
     const text = isLive ? `Live: the newest map. Slide back to see earlier ones, from ${clock(this.maps[0].wall_ns / 1e9)} on` : `${clock(map.wall_ns / 1e9)}, ${age(this.live.serverNow() - map.wall_ns / 1e9)} ago`;
     setText(this.when, this.change ? `${text}. Since then: ${this.change}.` : text);
+    // What has changed may be long, and is scrolled then: by keys, too.
+    this.when.tabIndex = isLive ? -1 : 0;
     this.range.setAttribute("aria-valuetext", text);
     this.goLive.setAttribute("aria-pressed", String(isLive));
     this.root.classList.toggle("past", !isLive);

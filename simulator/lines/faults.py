@@ -53,8 +53,8 @@ class SpellKind(Enum):
 class FaultConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Faults that are put into lines and dongles on purpose; without any, there are none.
 
-    Attributes
-    ----------
+    Keys
+    ----
     bit_flip, drop, insert, truncate
         Probability, for each byte that passes, that one of its bits is turned, that it is lost, that another one comes before it, and
         that a run of 2 to 32 bytes is lost from it on, which cuts a frame short.

@@ -40,8 +40,8 @@ _Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 class RenderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Configuration of ``biobot-sim render``.
 
-    Attributes
-    ----------
+    Keys
+    ----
     directory
         The run: what ``biobot-sim run`` or ``biobot-sim serve`` wrote.
     png, svg, gif, mp4, html

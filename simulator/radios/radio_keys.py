@@ -15,8 +15,8 @@ class RadioKeys(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     The radio's keys speak of beacons; with ``csma`` the reports of backpacks that send beacons share their channel. Where sensing is
     ``ideal``, only ``tx_power_dbm``, ``loss_1m_db`` and ``exponent`` matter, for the strengths that are told.
 
-    Attributes
-    ----------
+    Keys
+    ----
     sensing
         ``ideal``: encounters begin and end where the insects' centres pass the detection radius. ``beacon``: backpacks say who
         they are now and then, and take a neighbour that they hear loud enough for near.
@@ -32,9 +32,27 @@ class RadioKeys(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         So many strong beacons in a row open an encounter; it then counts from the first of them.
     radio
         Preset of the radio: ``ideal``, ``indoor`` or ``rubble``.
-    tx_power_dbm, loss_1m_db, exponent, shadowing_db, asymmetry_db, fading_db, wall_db, rssi_offset_db, rssi_step_db,
-    sensitivity_dbm, burst_good_s, burst_bad_s, csma, hidden_nodes
-        As in ``simulator.radios.radio.RadioConfig``.
+    tx_power_dbm, loss_1m_db, exponent
+        Path loss with distance: power sent, loss at 1 m, and how steeply power falls beyond (2: free space).
+    shadowing_db
+        Standard deviation of what stands between two biobots for the whole run, the same in both directions [dB].
+    asymmetry_db
+        Standard deviation of the difference between the two directions of a pair [dB].
+    fading_db
+        Standard deviation from packet to packet [dB].
+    wall_db
+        Loss at each wall or obstacle that the straight line passes through [dB].
+    rssi_offset_db, rssi_step_db
+        The strength that a receiver tells is wrong by a constant of this standard deviation, and comes in steps of this; 0: not
+        rounded [dB].
+    sensitivity_dbm
+        At this power 1 % of 20-octet packets are lost; ``-inf``: nothing is too weak.
+    burst_good_s, burst_bad_s
+        Mean durations of the times in which a link works and does not [s]; both 0: it always works.
+    csma
+        Packets take time on one shared channel: senders wait for it to be free, and what overlaps collides.
+    hidden_nodes
+        Senders hear only what is strong enough for their carrier sense; without it, all hear all.
     """
 
     sensing: Literal["ideal", "beacon"] = "ideal"

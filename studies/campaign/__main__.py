@@ -18,7 +18,7 @@ from studies.errors import CampaignError
 def main(arguments: list[str] | None = None) -> int:
     """Run what is left of a campaign and print its table; return 0 where nothing was lost, doubled or altered, else 1."""
     options = _parse(arguments)
-    enter_namespaces()
+    enter_namespaces("studies.campaign")
     out: Path = options.out
     out.mkdir(parents=True, exist_ok=True)
     signal.signal(signal.SIGTERM, _leave)  # the first process of a namespace is not ended by it of itself

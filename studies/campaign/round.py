@@ -23,7 +23,7 @@ from studies.campaign.services import Service, YardHandle
 from studies.campaign.surroundings import Disk, Network, WallClocks, is_in_namespaces
 from studies.campaign.yard_config import YardConfig
 from studies.errors import CampaignError
-from studies.system import free_port
+from studies.ports import free_port
 
 DIALECTS = (
     ("pty native", "tcp native", "pty xbee", "slcan can"),

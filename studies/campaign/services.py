@@ -33,10 +33,13 @@ class Service:
     """Largest resident memory of any of its processes [B]."""
     _process: subprocess.Popen[bytes] | None = None
     _is_wanted: bool = False
+    _ended_cpu_s: float = 0.0
+    _own_cpu_s: float = 0.0
 
     def start(self) -> None:
         """Start it."""
         self._is_wanted = True
+        self._ended_cpu_s, self._own_cpu_s = self._ended_cpu_s + self._own_cpu_s, 0.0
         with self.log.open("ab") as log:
             command = [*self.prefix, sys.executable, "-m", *self.arguments]
             environment = {**os.environ, "PYTHONUNBUFFERED": "1", **self.environment}
@@ -46,6 +49,16 @@ class Service:
     def is_running(self) -> bool:
         """Whether there is a process."""
         return self._process is not None and self._process.poll() is None
+
+    @property
+    def exit_status(self) -> int | None:
+        """How its process ended; None: it runs, or there is none."""
+        return None if self._process is None else self._process.poll()
+
+    def cpu_s(self) -> float:
+        """Return the processor time of all its processes so far [s]; of one that has ended, what was last noted."""
+        self._note_use()
+        return self._ended_cpu_s + self._own_cpu_s
 
     def freeze(self) -> None:
         """Stop it where it is."""
@@ -58,16 +71,21 @@ class Service:
     def kill(self) -> None:
         """End it at once."""
         self._is_wanted = False
-        self._note_memory()
+        self._note_use()
         if self._process is not None:
             self._process.kill()
             self._process.wait()
             self._process = None
 
+    def end(self) -> None:
+        """Tell it to end, and do not wait."""
+        self._is_wanted = False
+        self._signal(signal.SIGTERM)
+
     async def stop(self) -> None:
         """End it as a service manager does: kill what does not end in time."""
         self._is_wanted = False
-        self._note_memory()
+        self._note_use()
         if self._process is None:
             return
         self._signal(signal.SIGTERM)
@@ -80,10 +98,10 @@ class Service:
         self.kill()
 
     async def keep(self) -> None:
-        """Bring it back whenever it ends by itself, and note its memory, until cancelled."""
+        """Bring it back whenever it ends by itself, and note its memory and processor time, until cancelled."""
         while True:
             await asyncio.sleep(_LOOK_S)
-            self._note_memory()
+            self._note_use()
             if self._is_wanted and not self.is_running:
                 self.n_ended += 1
                 await asyncio.sleep(_RESTART_S)
@@ -94,9 +112,10 @@ class Service:
         if self.is_running and self._process is not None:
             self._process.send_signal(number)
 
-    def _note_memory(self) -> None:
+    def _note_use(self) -> None:
         if self._process is not None:
             self.peak_rss = max(self.peak_rss, _peak_rss(self._process.pid))
+            self._own_cpu_s = max(self._own_cpu_s, _cpu_s(self._process.pid))
 
 
 @dataclass(slots=True, kw_only=True)
@@ -151,6 +170,15 @@ class YardHandle:
         """End it at once."""
         if self._process is not None and self._process.returncode is None:
             self._process.kill()
+
+
+def _cpu_s(pid: int) -> float:
+    """Return a process's time on processors, its own and the kernel's for it [s]; 0 where it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _peak_rss(pid: int) -> int:

@@ -27,8 +27,8 @@ class Possible:
     clocks: str | None
 
 
-def enter_namespaces() -> None:
-    """Start this very program again in network, mount and process namespaces of its own, where that is allowed; return where not.
+def enter_namespaces(program: str) -> None:
+    """Start this very program, a module, again in network, mount and process namespaces of its own; return where that is not allowed.
 
     Whatever it starts there ends with it, even where it is killed.
     """
@@ -41,7 +41,7 @@ def enter_namespaces() -> None:
         return
     os.environ[_IN_NAMESPACES] = "1"
     sys.stdout.flush()
-    os.execvp(command[0], [*command, sys.executable, "-m", "studies.campaign", *sys.argv[1:]])  # noqa: S606  # our own program
+    os.execvp(command[0], [*command, sys.executable, "-m", program, *sys.argv[1:]])  # noqa: S606  # our own program
 
 
 def is_in_namespaces() -> bool:

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Final
 
 from mapper.access import Role, add_token
+from studies.ports import free_port
 from studies.rest_campaign.askers import Target
-from studies.system import RunningSystem, SystemSettings, free_port
+from studies.system import RunningSystem, SystemSettings
 
 _CONFIG: Final = """\
 [limits]

@@ -12,7 +12,7 @@ from typing import Self
 
 EMULATOR = "qemu-system-arm"
 _PTY = re.compile(r"redirected to (/dev/\S+)")
-_START_TIMEOUT_S = 10.0
+_START_TIMEOUT_S = 60.0
 _POLL_S = 0.02
 
 

@@ -42,7 +42,7 @@ async def ready(process: subprocess.Popen[str], file: Path) -> list[str]:
 
 
 async def end_of(process: subprocess.Popen[str]) -> str:
-    _, told = await asyncio.to_thread(process.communicate, None, 60)
+    _, told = await asyncio.to_thread(process.communicate, None, 150)
     assert process.returncode == 0, told
     return str(told)
 

@@ -152,7 +152,7 @@ def test_an_slcan_adapter_is_unplugged_and_plugged_in_again_and_no_second_proces
                 back = encode_record(CanFrame(can_id=0x1C3C0000, data=b"\x30\x00\x00"))
                 await end._pty.write(b"Tnonsense\r\xff\xfe\rT1\r")  # noise of an adapter that starts
                 async with (
-                    asyncio.timeout(20),
+                    asyncio.timeout(60),
                     running(asyncio.create_task(repeat(end, back))),
                 ):  # clearing its buffer, python-can may take one
                     assert await port.read() == back

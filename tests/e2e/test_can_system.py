@@ -18,7 +18,7 @@ LINKS = ("slcan?unit=7", "slcan?fd=1")
 def live_through(link: str, out: Path) -> tuple[str, Ledger]:
     """Return what the gateway opened, and whether it and the mapper have everything."""
     settings = SystemSettings(
-        out=out, seed=15, speed=8, n_biobots=40, n_landmarks=4, dispersion_s=1, exploration_s=4, drain_s=60, link=link
+        out=out, seed=15, speed=8, n_biobots=40, n_landmarks=4, dispersion_s=1, exploration_s=4, drain_s=120, link=link
     )
     with RunningSystem(settings=settings) as system:
         wait_for_end(system)

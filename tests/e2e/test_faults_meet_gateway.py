@@ -51,7 +51,7 @@ async def live_through(dialect: str, faults: tuple[str, ...], place: Path) -> Li
     with simulating(
         "serve", "--scenario", "no-obstacle", "--seed", "77", "--biobots", "30", "--speed", "40", "--duration", "3",
         "--link", f"pty:{place / 'dongle'}?dialect={dialect}", *(flag for fault in faults for flag in ("--fault", fault)),
-        "--drain-s", "60", "--report-period-s", "0.2", "--out", str(out), "--ready-file", str(ready_file),
+        "--drain-s", "120", "--report-period-s", "0.2", "--out", str(out), "--ready-file", str(ready_file),
     ) as process:  # fmt: skip
         (address,) = await ready(process, ready_file)
         config = a_config(place, address)

@@ -51,8 +51,8 @@ def wait_for_end(system: RunningSystem, *, at_once: bool = False) -> None:
 
 
 def settled_ledger(system: RunningSystem) -> Ledger:
-    """Return the ledger once it is complete, or as it is after 20 s."""
-    deadline = time.monotonic() + 20
+    """Return the ledger once it is complete, or as it is after two minutes."""
+    deadline = time.monotonic() + 120
     while True:
         ledger = check_ledger(system.truth_directory, all_encounters(system))
         if ledger.is_complete or time.monotonic() > deadline:
@@ -66,24 +66,24 @@ def modes(system: RunningSystem) -> Iterator[dict[str, str]]:
 
 
 def test_a_mission_over_a_pty_gives_a_map_with_every_encounter_once_and_a_stop_that_halts_the_insect(tmp_path: Path) -> None:
-    settings = SystemSettings(out=tmp_path, scenario="one-obstacle", seed=11, speed=16, dispersion_s=2, exploration_s=60)
+    settings = SystemSettings(out=tmp_path, scenario="one-obstacle", seed=11, speed=16, dispersion_s=2, exploration_s=200, drain_s=120)
     with RunningSystem(settings=settings) as system:
         mission = system.wait_for(
             lambda: (found := system.get("/api/v1/mission")).get("phase") and found["phase"]["phase"] == "exploration" and found,
             what="exploration",
-            timeout_s=60,
+            timeout_s=120,
         )
         n_before = n_known(system)
         landmarks = set(mission["phase"]["landmarks"])
         walker = next(one for one in range(1, 151) if one not in landmarks)
-        system.wait_for(lambda: is_reachable(system, walker), what="that a command finds the walker", timeout_s=60)
+        system.wait_for(lambda: is_reachable(system, walker), what="that a command finds the walker", timeout_s=120)
 
         answer = system.post("/api/v1/commands", {"biobot": walker, "action": "stop"})
 
         assert answer["outcome"] == "biobot_confirmed"
         assert [stage["stage"] for stage in answer["stages"]] == ["accepted", "radio_confirmed", "biobot_confirmed"]
         assert answer["stages"][-1]["mode"] == "S"
-        system.wait_for(lambda: n_known(system) > n_before + 1500, what="many encounters while they explore", timeout_s=60)
+        system.wait_for(lambda: n_known(system) > n_before + 1500, what="many encounters while they explore", timeout_s=120)
         wait_for_end(system, at_once=True)
         ledger = settled_ledger(system)
         assert ledger.is_complete, ledger
@@ -91,7 +91,7 @@ def test_a_mission_over_a_pty_gives_a_map_with_every_encounter_once_and_a_stop_t
         document = system.wait_for(
             lambda: (found := system.get("/api/v1/map"))["n_encounters"] + found["n_before"] == ledger.n_records and found,
             what="last map",
-            timeout_s=60,
+            timeout_s=120,
         )
         assert document["betti_numbers"][0] == 1
         standing = {int(row["id"]) for row in modes(system) if row["mode"] == "S" and row["cause"] == "command"}
@@ -103,23 +103,23 @@ def test_a_mission_over_a_pty_gives_a_map_with_every_encounter_once_and_a_stop_t
 
 def test_nothing_is_lost_or_doubled_when_gateway_and_mapper_are_killed_and_the_radio_loses_a_tenth(tmp_path: Path) -> None:
     settings = SystemSettings(
-        out=tmp_path, seed=12, speed=8, n_biobots=60, n_landmarks=8, dispersion_s=3, exploration_s=60, drain_s=60, link="tcp",
+        out=tmp_path, seed=12, speed=8, n_biobots=60, n_landmarks=8, dispersion_s=3, exploration_s=200, drain_s=120, link="tcp",
         simulator_args=("--loss", "0.1"),
     )  # fmt: skip
     with RunningSystem(settings=settings) as system:
-        system.wait_for(lambda: len(all_encounters(system)) > 60, what="first encounters", timeout_s=60)
+        system.wait_for(lambda: len(all_encounters(system)) > 60, what="first encounters", timeout_s=120)
 
         system.process("gateway").kill()
         system.process("gateway").wait()
         time.sleep(1.0)  # let the backpacks report into the void for a while
         system.start_process("gateway", system.gateway_arguments())
         before = len(all_encounters(system))
-        system.wait_for(lambda: len(all_encounters(system)) > before + 20, what="encounters after the gateway's death", timeout_s=60)
+        system.wait_for(lambda: len(all_encounters(system)) > before + 20, what="encounters after the gateway's death", timeout_s=120)
         system.process("mapper").kill()
         system.process("mapper").wait()
         system.start_mapper()
-        system.wait_for(lambda: len(all_encounters(system)) > before + 60, what="encounters after the mapper's death", timeout_s=60)
-        system.wait_for(lambda: "exploration" in phases_of(system), what="exploration", timeout_s=60)
+        system.wait_for(lambda: len(all_encounters(system)) > before + 60, what="encounters after the mapper's death", timeout_s=120)
+        system.wait_for(lambda: "exploration" in phases_of(system), what="exploration", timeout_s=120)
 
         wait_for_end(system, at_once=True)
         ledger = settled_ledger(system)

@@ -22,7 +22,7 @@ from tests.e2e.simulation import RECORDED, current, end_of, ready, simulating
 from tests.gateway.fake_radio import until
 from tests.gateway.harness import a_config, a_request, command, listening, running
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(200)]
 
 
 def test_the_gateway_hears_every_encounter_through_an_xbee_and_a_stop_reaches_its_biobot(tmp_path: Path) -> None:
@@ -31,8 +31,8 @@ def test_the_gateway_hears_every_encounter_through_an_xbee_and_a_stop_reaches_it
 
     async def story() -> int:
         with simulating(
-            "replay", str(source), "--link", f"pty:{tmp_path / 'dongle'}?dialect=xbee", "--speed", "20", "--renumber",
-            "--report-period-s", "0.2", "--drain-s", "30", "--ready-file", str(ready_file),
+            "replay", str(source), "--link", f"pty:{tmp_path / 'dongle'}?dialect=xbee", "--speed", "6", "--renumber",
+            "--report-period-s", "0.2", "--drain-s", "100", "--ready-file", str(ready_file),
         ) as process:  # fmt: skip
             (address,) = await ready(process, ready_file)
             config = a_config(tmp_path, f"{address}&baud=9600")
@@ -53,7 +53,7 @@ def test_the_gateway_hears_every_encounter_through_an_xbee_and_a_stop_reaches_it
 def a_virtual_xbee(tmp_path: Path, dialect: str) -> Iterator[str]:
     port, ready_file = tmp_path / "dongle", tmp_path / "ready"
     with simulating(
-        "serve", "--scenario", "no-obstacle", "--seed", "1", "--biobots", "3", "--duration", "60", "--ready-file", str(ready_file),
+        "serve", "--scenario", "no-obstacle", "--seed", "1", "--biobots", "3", "--duration", "200", "--ready-file", str(ready_file),
         "--link", f"pty:{port}?dialect={dialect}",
     ) as process:  # fmt: skip
         asyncio.run(ready(process, ready_file))
@@ -104,7 +104,7 @@ def test_digis_own_library_opens_the_virtual_module_and_talks_with_a_backpack(tm
 
 def uplink(heard: "queue.Queue[tuple[str, bytes]]") -> tuple[str, Any]:
     """Return the next message and the 64-bit address it comes from."""
-    source, payload = heard.get(timeout=20)
+    source, payload = heard.get(timeout=60)
     decoded = decode_uplink(payload)
     assert not isinstance(decoded, MessageFault)
     return source, decoded[1]

@@ -84,7 +84,7 @@ SAME: list[tuple[Message, str, list[object]]] = [
 def peer(program: str, *arguments: str, given: str = "") -> Any:
     """Run a peer program and return the JSON that it prints."""
     command = [str(PYTHON), str(ROOT / "scripts" / "wire_peers" / program), *arguments]
-    done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=110, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

@@ -13,7 +13,7 @@ from tests.e2e.simulation import as_rows, current, end_of, ready, simulating
 from tests.gateway.fake_radio import until
 from tests.gateway.harness import a_config, a_request, command, listening, running
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(200)]
 
 
 def test_a_gateway_behind_a_zstack_dongle_has_every_encounter_and_its_command_is_confirmed(tmp_path: Path) -> None:
@@ -21,8 +21,8 @@ def test_a_gateway_behind_a_zstack_dongle_has_every_encounter_and_its_command_is
 
     async def story() -> list[JournalRecord]:
         with simulating(
-            "serve", "--scenario", "no-obstacle", "--seed", "5", "--biobots", "30", "--speed", "20", "--duration", "6", "--loss", "0.05",
-            "--link", f"pty:{tmp_path / 'dongle'}?dialect=znp", "--drain-s", "60", "--report-period-s", "0.2",
+            "serve", "--scenario", "no-obstacle", "--seed", "5", "--biobots", "30", "--speed", "12", "--duration", "10", "--loss", "0.05",
+            "--link", f"pty:{tmp_path / 'dongle'}?dialect=znp", "--drain-s", "100", "--report-period-s", "0.2",
             "--out", str(out), "--ready-file", str(ready_file),
         ) as process:  # fmt: skip
             (address,) = await ready(process, ready_file)

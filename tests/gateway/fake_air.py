@@ -19,10 +19,10 @@ from gateway.radio import Fate, RadioOutcome
 from gateway.stimulation import StimulationGate
 from tests.gateway.harness import a_request
 
-QUICK = StimulationTable(stop_retry_s=0.02, stop_attempts=3, reply_timeout_s=0.2, flight_s=0.1)
+QUICK = StimulationTable(min_gap_s=60.0, stop_retry_s=0.02, stop_attempts=3, reply_timeout_s=0.2, flight_s=0.1)
 """Soon out of patience: for what is not answered."""
 
-PATIENT = StimulationTable(stop_retry_s=0.05, stop_attempts=20, reply_timeout_s=20.0, flight_s=0.1)
+PATIENT = StimulationTable(min_gap_s=60.0, stop_retry_s=0.05, stop_attempts=20, reply_timeout_s=20.0, flight_s=0.1)
 """For what is answered, on a machine that may be busy."""
 
 RADIO_TIMEOUT_S = 0.3

@@ -263,8 +263,8 @@ async def on_pty(dongle: FakeDongle, link: Path) -> AsyncIterator[None]:
         async with _pumping(_pump_fd(dongle, master)):
             yield
     finally:
-        os.close(master)
         os.unlink(link)  # noqa: PTH108  # a blocking call of microseconds, in a test
+        os.close(master)
 
 
 @asynccontextmanager
@@ -304,7 +304,7 @@ async def on_tcp(dongle: FakeDongle, *, port: int = 0) -> AsyncIterator[int]:
         await until(lambda: serving == 0, what="the connections are closed")
 
 
-async def until(is_so: Callable[[], bool], *, what: str, timeout_s: float = 20.0) -> None:
+async def until(is_so: Callable[[], bool], *, what: str, timeout_s: float = 60.0) -> None:
     """Wait until something is so; fail with ``what`` where it is not in time."""
     deadline_s = time.monotonic() + timeout_s
     while not is_so():

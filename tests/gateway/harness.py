@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import socket
 import threading
 import time
 import uuid
@@ -29,15 +28,10 @@ from firmware_protocol.contract.records import (
 from firmware_protocol.units import Nanoseconds, NodeId
 from gateway.config import BackpackTable, GatewayConfig, LinkTable, MissionTable, StimulationTable
 from gateway.service import Service
+from studies.ports import free_port
 from tests.gateway.fake_radio import until
 
 _StructT = TypeVar("_StructT", bound=Struct)
-
-
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
 
 
 def a_config(
@@ -54,7 +48,7 @@ def a_config(
         journal=str(tmp_path / "journal.sqlite"),
         listen=(f"tcp/127.0.0.1:{free_port()}",),
         link=LinkTable(first_backoff_s=0.05, max_backoff_s=0.2),
-        stimulation=stimulation or StimulationTable(reply_timeout_s=1.0, stop_retry_s=0.3),
+        stimulation=stimulation or StimulationTable(reply_timeout_s=20.0, stop_retry_s=0.3),
         mission=mission or MissionTable(),
         backpacks=backpacks or BackpackTable(),
     )
@@ -158,7 +152,7 @@ async def command(listener: Listener, request: StimulationRequest) -> list[Comma
     key = build_key(site="test", stream=Stream.COMMAND, gateway="base1")
 
     def ask() -> list[CommandStage]:
-        replies = listener.session.get(key, payload=encode_record(request), timeout=20.0, consolidation=zenoh.ConsolidationMode.NONE)
+        replies = listener.session.get(key, payload=encode_record(request), timeout=60.0, consolidation=zenoh.ConsolidationMode.NONE)
         return [decode_record(reply.ok.payload.to_bytes(), CommandStage) for reply in replies if reply.ok is not None]
 
     return await asyncio.to_thread(ask)
@@ -168,7 +162,7 @@ async def history(listener: Listener, request: HistoryRequest) -> list[RecordBat
     key = build_key(site="test", stream=Stream.HISTORY, gateway="base1")
 
     def ask() -> list[RecordBatch]:
-        replies = listener.session.get(key, payload=encode_record(request), timeout=20.0, consolidation=zenoh.ConsolidationMode.NONE)
+        replies = listener.session.get(key, payload=encode_record(request), timeout=60.0, consolidation=zenoh.ConsolidationMode.NONE)
         return [decode_record(reply.ok.payload.to_bytes(), RecordBatch) for reply in replies if reply.ok is not None]
 
     return await asyncio.to_thread(ask)

@@ -27,8 +27,9 @@ from gateway.bus_standing import ServiceSession, StandingDeclarations
 from gateway.health import Health
 from gateway.journal import Journal
 from gateway.journal_file import JournalWrite
+from studies.ports import free_port
 from tests.gateway.fake_radio import until
-from tests.gateway.harness import a_config, a_request, free_port, peer_config
+from tests.gateway.harness import a_config, a_request, peer_config
 from tests.gateway.makers import a_mode_record
 from tests.gateway.test_control_book import a_stage
 
@@ -59,7 +60,7 @@ def test_a_stop_passes_where_as_many_commands_wait_as_may(tmp_path: Path) -> Non
                 # From here on the loop is held, so that commands wait, until Zenoh's thread has refused one.
                 for _ in range(300):
                     ask(StimulationAction.START)
-                deadline_s = time.monotonic() + 10.0
+                deadline_s = time.monotonic() + 60.0
                 while not health.counters().get("bus.refused_queries") and time.monotonic() < deadline_s:
                     time.sleep(0.01)  # noqa: ASYNC251  # to hold the loop is the point
                 ask(StimulationAction.STOP)
@@ -119,7 +120,7 @@ def test_orders_come_in_and_are_answered_and_a_query_to_all_gateways_reaches_thi
         stop = a_request(7, StimulationAction.STOP)
         try:
             answer = await asyncio.to_thread(
-                send_order, order, site="test", gateway=None, connect=config.listen, timeout_s=5.0, tls=TlsTable()
+                send_order, order, site="test", gateway=None, connect=config.listen, timeout_s=60.0, tls=TlsTable()
             )
             assert answer is not None
             assert (answer.order_id, answer.phase) == ("o1", MissionPhase.PAUSED)
@@ -127,7 +128,7 @@ def test_orders_come_in_and_are_answered_and_a_query_to_all_gateways_reaches_thi
                 everybody = build_key(site="test", stream=Stream.COMMAND, gateway=ANY)
 
                 def ask(payload: bytes) -> list[bytes]:
-                    replies = peer.get(everybody, payload=payload, timeout=5.0, consolidation=zenoh.ConsolidationMode.NONE)
+                    replies = peer.get(everybody, payload=payload, timeout=60.0, consolidation=zenoh.ConsolidationMode.NONE)
                     return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
                 stages: list[bytes] = []
@@ -137,7 +138,7 @@ def test_orders_come_in_and_are_answered_and_a_query_to_all_gateways_reaches_thi
                 assert await asyncio.to_thread(ask, b"no command") == []
                 assert turned_away == [b"no command"]
                 orders = build_key(site="test", stream=Stream.ORDERS, gateway=ANY)
-                replies = await asyncio.to_thread(lambda: list(peer.get(orders, payload=b"no order", timeout=5.0)))
+                replies = await asyncio.to_thread(lambda: list(peer.get(orders, payload=b"no order", timeout=60.0)))
                 assert [reply.ok for reply in replies] == [None]
                 assert turned_away == [b"no command", b"no order"]
         finally:

@@ -9,7 +9,7 @@ from gateway.bus_session import open_client, open_service
 from gateway.connecting import diagnose, why_not_listening
 from gateway.errors import BusError
 from gateway.zenoh_log import put_plainly
-from tests.gateway.harness import free_port
+from studies.ports import free_port
 
 
 def test_a_busy_port_is_told_as_one_and_nothing_else() -> None:

@@ -14,7 +14,7 @@ from firmware_protocol.envelope import RadioStatus
 from firmware_protocol.landmarks import choose_landmarks
 from firmware_protocol.messages import Action
 from firmware_protocol.units import NodeId
-from gateway.config import MissionTable
+from gateway.config import MissionTable, StimulationTable
 from gateway.errors import BusError, JournalUnfitError, TransportSpecError
 from gateway.journal_file import verify_audit_of
 from gateway.service import Service
@@ -164,7 +164,8 @@ def test_stale_future_unknown_and_too_frequent_commands_are_refused_and_audited(
         dongle = a_dongle(7)
         backpack = dongle.backpacks[NodeId(7)]
         async with on_tcp(dongle) as port:
-            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}")
+            seldom = StimulationTable(reply_timeout_s=20.0, min_gap_s=600.0)
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=seldom)
             with listening(config) as peer:
                 async with running(config):
                     await peer.hear()
@@ -184,7 +185,7 @@ def test_stale_future_unknown_and_too_frequent_commands_are_refused_and_audited(
                     assert stages[-1].stage is Stage.BIOBOT_CONFIRMED
                     (stage,) = await command(peer, a_request(7, StimulationAction.START))
                     assert stage.stage is Stage.REFUSED
-                    assert "must be 2 s at least" in stage.reason
+                    assert "must be 600 s at least" in stage.reason
                     stages = await command(peer, a_request(7, StimulationAction.STOP, age_s=60))
                     assert stages[-1].stage is Stage.BIOBOT_CONFIRMED, "a stop is never too old, nor too soon"
         with sqlite3.connect(config.journal) as journal:
@@ -203,7 +204,8 @@ def test_a_silent_biobot_is_started_once_and_stopped_until_it_answers(tmp_path: 
         dongle = a_dongle(7, 8)
         backpack = dongle.backpacks[NodeId(7)]
         async with on_tcp(dongle) as port:
-            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}")
+            impatient = StimulationTable(reply_timeout_s=1.0, stop_retry_s=0.3)
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=impatient)
             with listening(config) as peer:
                 async with running(config):
                     await peer.hear()
@@ -269,7 +271,8 @@ def test_a_full_disk_stalls_and_loses_nothing(tmp_path: Path) -> None:
                     connection.execute(f"PRAGMA max_page_count = {n_pages + 1}")
                     _say_all(dongle, 40)
                     await until(lambda: service._journal.fault is not None, what="the disk is full")
-                    n_published = len(peer.records)
+                    n_published = service._journal.head_offset
+                    await until(lambda: len(peer.records) >= n_published, what="what had come onto the disk is published")
                     (stage,) = await command(peer, a_request(1, StimulationAction.START))
                     assert stage.stage is Stage.REFUSED
                     assert "journal" in stage.reason

@@ -25,8 +25,9 @@ from gateway.errors import MonitorError
 from gateway.health import DURATION_BOUNDS_S, Health, RadioState
 from gateway.monitor.server import Monitor
 from gateway.vitals import DiskUse, Vitals
+from studies.ports import free_port
 from tests.gateway.fake_radio import a_dongle, on_pty, until
-from tests.gateway.harness import a_config, free_port, running
+from tests.gateway.harness import a_config, running
 
 ROOT = Path(__file__).parents[2]
 
@@ -57,7 +58,7 @@ def an_encounter(revision: int, *, error_ns: int) -> EncounterRecord:
 
 
 def get(port: int, path: str, method: str = "GET") -> tuple[int, str]:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
     try:
         connection.request(method, path)
         answer = connection.getresponse()
@@ -199,7 +200,7 @@ def test_it_answers_while_the_gateways_loop_hangs_and_holds_nothing_up(desk: Des
         return byte
 
     with mine, other:
-        mine.settimeout(20)
+        mine.settimeout(60)
         assert asyncio.run(hang()) == b"x"
     assert answers == [200]
 
@@ -274,14 +275,14 @@ def test_a_gateway_without_router_and_dongle_runs_says_so_to_all_and_stops(tmp_p
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "600000"}
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(str(tmp_path / "notify"))
-        manager.settimeout(30)
+        manager.settimeout(60)
         with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as gateway:
             heard: list[str] = []
             while not {"READY=1", "WATCHDOG=1"} <= set(heard) or not any("0 of 1 radios up" in one for one in heard):
                 heard.append(manager.recv(4096).decode())
             status, text = get(port, "/readyz")
             gateway.send_signal(signal.SIGTERM)
-            assert gateway.wait(timeout=20) == 0
+            assert gateway.wait(timeout=60) == 0
             while heard[-1] != "STOPPING=1":
                 heard.append(manager.recv(4096).decode())
     assert status == 503

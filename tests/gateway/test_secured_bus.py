@@ -27,9 +27,10 @@ from gateway.health import Health
 from gateway.journal import Journal
 from gateway.site_watch import SiteWatch
 from gateway.tls_files import check_tls_files
+from studies.ports import free_port
 from tests.gateway.certified import Certified
 from tests.gateway.fake_radio import until
-from tests.gateway.harness import a_config, free_port
+from tests.gateway.harness import a_config
 
 STATUS = GatewayStatus(gateway="base1", journal="j", boot=BootId(1), head_offset=0, wall_ns=Nanoseconds(0), radios={}, counters={})
 EVENT = GatewayEvent(gateway="base1", wall_ns=Nanoseconds(0), level="info", kind="test.event", facts={})

@@ -22,7 +22,7 @@ def notify(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[str
     name = str(tmp_path / "notify") if request.param == "path" else f"@biobot-{uuid.uuid4()}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(name if request.param == "path" else f"\0{name[1:]}")
-        listener.settimeout(10)
+        listener.settimeout(60)
         yield name, listener
 
 
@@ -56,7 +56,7 @@ def test_signs_of_life_come_thrice_a_period_while_the_loop_moves(kind: Kind, not
         loop = asyncio.get_running_loop()
         manager = kind.of(environment)
         watching = asyncio.ensure_future(manager.watch())
-        heard = [await asyncio.wait_for(loop.sock_recv(listener, 4096), 10) for _ in range(4)]
+        heard = [await asyncio.wait_for(loop.sock_recv(listener, 4096), 60) for _ in range(4)]
         watching.cancel()
         manager.close()
         return heard

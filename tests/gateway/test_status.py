@@ -150,7 +150,7 @@ class Terminal:
         loop, came = asyncio.get_running_loop(), asyncio.Event()
         loop.add_reader(self.master, came.set)
         try:
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(60):
                 while words not in self.text:
                     await came.wait()
                     came.clear()
@@ -179,7 +179,7 @@ def test_on_a_terminal_gateways_come_and_go_live_and_the_terminal_is_left_as_it_
         await terminal.until("gone")
         terminal.process.send_signal(signal.SIGTERM)
         await terminal.until("\x1b[?1049l")
-        assert await asyncio.to_thread(terminal.process.wait, 20) == 0
+        assert await asyncio.to_thread(terminal.process.wait, 60) == 0
         os.close(terminal.master)
 
     asyncio.run(live())

@@ -25,7 +25,7 @@ from tests.gateway.fake_radio import FakeBackpack, a_dongle, on_tcp, until
 from tests.gateway.harness import Listener, a_config, a_request, command, listening, running
 
 _ROOT = Path(__file__).parents[2]
-_TABLE = StimulationTable(reply_timeout_s=1.0, stop_retry_s=0.3)
+_TABLE = StimulationTable(reply_timeout_s=4.0, stop_retry_s=0.3)
 
 
 @asynccontextmanager
@@ -102,7 +102,8 @@ def test_a_script_of_which_a_step_was_refused_goes_on_and_fails_in_the_end(tmp_p
     async def story() -> None:
         dongle = a_dongle(7)
         async with on_tcp(dongle) as port:
-            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=_TABLE)
+            seldom = msgspec.structs.replace(_TABLE, min_gap_s=600.0)
+            config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=seldom)
             with listening(config) as peer:
                 async with running(config):
                     backpack = dongle.backpacks[NodeId(7)]
@@ -211,7 +212,7 @@ def test_stop_reaches_every_gateway_of_a_site_without_knowing_their_names(tmp_pa
                     asked: set[str] = set()
                     everybody = a_request(EVERYBODY, StimulationAction.STOP_ALL)
                     stopping = stop_everywhere(
-                        [everybody], site=first.site, gateway=None, connect=first.listen, timeout_s=1.0, tls=first.tls, on_gateway=asked.add
+                        [everybody], site=first.site, gateway=None, connect=first.listen, timeout_s=5.0, tls=first.tls, on_gateway=asked.add
                     )
                     ends = [stage for stage in await asyncio.to_thread(list, stopping) if stage.is_final and not stage.part_of]
                     assert {one.gateway for one in ends} == {"base1", "base2"}

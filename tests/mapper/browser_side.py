@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 
 from studies.chromium import CHROMIUM as CHROMIUM
 from studies.chromium import launched as launched
 
 ARTIFACTS = Path(__file__).parents[2] / "artifacts"
-WAIT_MS = 20_000
+WAIT_MS = 60_000
+expect.set_options(timeout=WAIT_MS)
 PHONE = (390, 844)
 DESK = (1280, 800)
 _AXE = Path(__file__).parents[1] / "vendor" / "axe-core" / "axe.min.js"
@@ -73,9 +74,10 @@ def until(is_met: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
-def picture(page: Page, name: str) -> None:
+def picture(page: Page, name: str, *, is_whole: bool = True) -> None:
+    """Keep a picture of the whole page, or of what is in sight of it."""
     ARTIFACTS.mkdir(exist_ok=True)
-    page.screenshot(path=ARTIFACTS / f"{name}.png", full_page=True)
+    page.screenshot(path=ARTIFACTS / f"{name}.png", full_page=is_whole)
 
 
 def fits_its_width(page: Page) -> bool:

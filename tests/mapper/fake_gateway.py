@@ -1,7 +1,6 @@
 """A gateway as the mapper sees it: real Zenoh on loopback, a journal in memory, and commands answered by a rule of the test."""
 
 import json
-import socket
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -41,13 +40,6 @@ S = 1_000_000_000
 
 DEADLINE_NS = 2_000_000_000_000_000_000
 Answer = Callable[[StimulationRequest], Iterable[Stage]]
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def encounter(
@@ -168,6 +160,7 @@ class FakeGateway:
         self.beats: list[CommanderBeat] = []
         self.commanders: set[str] = set()
         self.refusal = Refusal.GAP
+        self.clock: Callable[[], int] = lambda: 0
         self._page = page
         self._lock = threading.Lock()
         config = zenoh.Config()
@@ -258,7 +251,7 @@ class FakeGateway:
             journal=self.journal,
             boot=BOOT,
             head_offset=head,
-            wall_ns=Nanoseconds(0),
+            wall_ns=Nanoseconds(self.clock()),
             radios={"pty": "up"},
             counters={"frames": 12},
             oldest_offset=self.oldest_offset,

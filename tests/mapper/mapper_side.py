@@ -37,7 +37,7 @@ from mapper.store_thread import StoreThread
 from mapper.thinning import make_ladder
 from tests.mapper.fake_gateway import SITE, batch
 
-DEADLINE_S = 20.0
+DEADLINE_S = 60.0
 PERIOD_S = 0.02
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from mapper.access import Role, add_token
 
-START_S = 30.0
-STOP_S = 15.0
+START_S = 90.0
+STOP_S = 60.0
 
 
 @contextmanager

@@ -17,10 +17,10 @@ from firmware_protocol.contract.access import Role as BusRole
 from gateway.certificates import Authority
 from mapper.__main__ import main
 from mapper.access import Role, add_token, contains_token, read_tokens
-from tests.mapper.fake_gateway import free_port
+from studies.ports import free_port
 from tests.mapper.serving import serving, token_of
 
-DEADLINE_S = 20.0
+DEADLINE_S = 60.0
 
 
 def until(is_met: Callable[[], bool]) -> None:
@@ -50,7 +50,7 @@ def test_no_secret_leaves_the_service_but_to_its_holder(tmp_path: Path, monkeypa
     secrets = []
     with (
         serving(tmp_path, connect=free_port(), arguments=arguments) as (url, _process),
-        httpx.Client(base_url=url, verify=context) as client,
+        httpx.Client(base_url=url, verify=context, timeout=60) as client,
     ):
         assert url.startswith("https://")
         admin = first.read_text().strip()
@@ -127,8 +127,8 @@ def test_files_that_do_not_fit_are_told_before_anything_is_opened(
 
 def test_whoever_lets_others_in_without_tls_is_warned(tmp_path: Path) -> None:
     with serving(tmp_path, connect=free_port(), arguments=["--allow-remote"]) as (url, _process):
-        assert httpx.get(url + "api/v1/biobots").status_code == HTTPStatus.UNAUTHORIZED
-        assert httpx.get(url + "healthz").status_code == HTTPStatus.OK
+        assert httpx.get(url + "api/v1/biobots", timeout=60).status_code == HTTPStatus.UNAUTHORIZED
+        assert httpx.get(url + "healthz", timeout=60).status_code == HTTPStatus.OK
     events = [json.loads(line) for line in (tmp_path / "mapper.log").read_text().splitlines() if line.startswith("{")]
     told = {event["event"]: event for event in events}
     assert told["access.readable"]["level"] == "WARNING"

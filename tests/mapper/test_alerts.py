@@ -33,12 +33,13 @@ STATUS = GatewayStatus(
     gateway="base1", journal="j", boot=BootId(1), head_offset=0, wall_ns=Nanoseconds(0), radios={"usb": "up"}, counters={}
 )
 GATEWAY = GatewayView(name="base1", is_alive=True, status=STATUS, radios_up=("usb",))
-BIOBOT = BiobotView(node=NodeId(7), gateway="base1", is_reachable=True, mode=Mode.CRW, cause=Cause.NATURAL, radio="usb", battery_mv=3900)
+BIOBOT = BiobotView(
+    node=NodeId(7), gateway="base1", is_reachable=True, mode=Mode.CRW, cause=Cause.NATURAL, radio="usb", battery_mv=3900, silence_s=1.0
+)
 QUIET = Situation(
     is_connected=True,
     gateways=[GATEWAY],
     biobots=[BIOBOT],
-    silences_s={NodeId(7): 1.0},
     events=[],
     faults=[],
     missions=[],
@@ -65,11 +66,11 @@ def test_of_a_site_where_all_is_well_nothing_is_told() -> None:
 
 
 def test_a_biobot_is_lost_unless_its_gateway_or_radio_explains_the_silence() -> None:
-    silent = replace(QUIET, silences_s={NodeId(7): 61.0})
+    silent = replace(QUIET, biobots=[replace(BIOBOT, silence_s=61.0)])
     lost = (AlertKind.BIOBOT_LOST, "biobot 7")
     assert lost in look(silent)
-    assert lost not in look(replace(silent, silences_s={NodeId(7): 59.0}))
-    assert lost not in look(replace(silent, silences_s={}))
+    for silence_s in (59.0, None):
+        assert lost not in look(replace(silent, biobots=[replace(BIOBOT, silence_s=silence_s)]))
     assert set(look(replace(silent, gateways=[replace(GATEWAY, is_alive=False)]))) == {(AlertKind.GATEWAY_AWAY, "gateway base1")}
     report = RadioReport(state="down", since_wall_ns=Nanoseconds(0), reason="unplugged 12 s ago")
     deaf = look(replace(silent, gateways=status(radios={"usb": "down"}, radio_reports={"usb": report})))

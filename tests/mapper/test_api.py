@@ -24,7 +24,8 @@ from mapper.api.event_stream import EventStream
 from mapper.api.guards import MAX_BODY_BYTES
 from mapper.length_shares import WHOLE
 from mapper.map_snapshot import pack, unpack
-from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, account, encounter, free_port, mission
+from studies.ports import free_port
+from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, account, encounter, mission
 from tests.mapper.mapper_side import Side, mapper_side, until
 from tests.mapper.ring import ring_records
 from tests.mapper.web_side import BASE, check_against, client_of, meet, openapi_of

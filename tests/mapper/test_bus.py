@@ -23,7 +23,8 @@ from mapper.commands import Wish
 from mapper.errors import BiobotNotFoundError, BusError, CommandNotFoundError, CommandRefusedError
 from mapper.store import Store
 from mapper.watermarks import Watermarks
-from tests.mapper.fake_gateway import SITE, FakeGateway, batch, encounter, free_port, mode
+from studies.ports import free_port
+from tests.mapper.fake_gateway import SITE, FakeGateway, batch, encounter, mode
 from tests.mapper.mapper_side import DEADLINE_S, Side, mapper_side, until
 
 

@@ -228,6 +228,39 @@ def test_lengths_of_another_map_are_noticed(call: Call) -> None:
     assert "lengths for a map" in call("simplices.js", body, bytes_, [0, 0, 0])
 
 
+holes = st.lists(
+    st.builds(
+        lambda x, y, r: {"centre": [10.0 * x, 10.0 * y], "area": 3.14159 * r * r},
+        st.integers(-9, 9), st.integers(-9, 9), st.floats(0.1, 4.9),
+    ),
+    max_size=6, unique_by=lambda hole: tuple(hole["centre"]),
+)  # fmt: skip
+
+
+@given(before=holes, possible=holes, moved=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)), data=st.data())
+@few
+def test_a_hole_is_found_again_however_holes_are_numbered(
+    call: Call, before: list[Any], possible: list[Any], moved: tuple[float, float], data: st.DataObject
+) -> None:
+    """Holes stand apart by more than their radii, and move by less than the smallest of them."""
+    order = data.draw(st.permutations(range(len(before))))
+    after = [{**before[k], "centre": [before[k]["centre"][0] + moved[0], before[k]["centre"][1] + moved[1]]} for k in order]
+    body = """
+      const [before, after, possible] = given;
+      const again = (chosen, one, other) => m.findAgain(chosen, one, other);
+      const now = { holes: after, possible_holes: possible };
+      return [
+        before.map((_, index) => again({ hole: index }, { holes: before }, now)),
+        before.map((_, index) => again({ hole: index }, { holes: before }, { holes: [] })),
+        again(null, { holes: before }, now),
+      ];
+    """
+    found, of_none, nothing = call("hole_match.js", body, before, after, possible)
+    assert [one["hole"] for one in found] == [order.index(k) for k in range(len(before))]
+    assert of_none == [None] * len(before)
+    assert nothing is None
+
+
 def test_a_time_to_wait_is_told_as_people_do(call: Call) -> None:
     told = call("verdict.js", "return given[0].map(m.waitText);", [20, 312, 7200, 400_000])
     assert told == ["about a minute", "about 5 minutes", "about 2 hours", "about 5 days"]

@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from firmware_protocol.contract.records import EncounterRecord
+from studies.ports import free_port
 from tests.mapper.browser_side import (
     CHROMIUM,
     DESK,
@@ -22,7 +23,7 @@ from tests.mapper.browser_side import (
     tab_to,
     until,
 )
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.serving import serving, token_of
 from tests.mapper.two_holes import two_holes
 
@@ -72,7 +73,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, Early
         gateway = stack.enter_context(FakeGateway(port=port))
         url, _process = stack.enter_context(serving(directory, connect=port, arguments=["--min-interval-s", "0.1"]))
         token = token_of(directory)
-        client = stack.enter_context(httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}))
+        client = stack.enter_context(httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}, timeout=60))
 
         def knows(n_encounters: int) -> bool:
             gateway.publish_status()
@@ -178,7 +179,7 @@ def test_three_pins_lay_the_map_into_the_operators_frame_and_ways_are_found_betw
         page.locator("#pin-x").fill(str(at[0]))
         page.locator("#pin-y").fill(str(at[1]))
         page.get_by_role("button", name="Name it").click()
-        expect(page.locator(".pins")).to_contain_text(name)
+        expect(page.locator("#places-outcome")).to_have_text(f"{name} is on the map.")
     expect(page.locator("#pins-frame")).to_contain_text("in your frame")
     expect(page.locator("#orientation")).to_contain_text("in your frame")
     page.wait_for_function(f"({COUNT_PIXELS})('--pin') > 300")

@@ -21,7 +21,8 @@ from mapper.config import RecipeConfig
 from mapper.current_map import KEEP_PERIOD_S
 from mapper.map_snapshot import MapSnapshot
 from mapper.store import Store
-from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, S, batch, encounter, free_port, mission
+from studies.ports import free_port
+from tests.mapper.fake_gateway import ANCHOR_NS, FakeGateway, S, batch, encounter, mission
 from tests.mapper.mapper_side import Side, mapper_side, until
 from tests.mapper.ring import ring_records
 from tests.mapper.web_side import client_of

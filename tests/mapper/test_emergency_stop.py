@@ -6,11 +6,14 @@ from collections.abc import Iterator
 from http import HTTPStatus
 
 import httpx
+import pytest
 
 from firmware_protocol.contract.commands import PulseRequest, Refusal, Stage, StimulationAction, StimulationRequest
 from firmware_protocol.units import EVERYBODY, NodeId
+from mapper import commands
 from mapper.commands import Wish
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.mapper_side import DEADLINE_S, Side, mapper_side, until
 from tests.mapper.web_side import check_against, client_of, meet, openapi_of, run_story
 
@@ -178,6 +181,25 @@ def test_a_stop_goes_to_every_gateway_that_has_heard_the_biobot_and_one_alone_ma
         }
         assert [request.pulse for request in by_name[nearest].commands] == [None]
         assert [request.pulse for request in by_name[other].commands] == [PulseRequest(duration_ms=0)]
+
+    run_story(story, n_gateways=2)
+
+
+def test_a_biobot_that_walks_to_another_gateway_while_it_is_stopped_is_stopped_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gateway that alone had heard it gets no answer from it; the one that hears it next is asked too, and gives no second train."""
+    monkeypatch.setattr(commands, "_ASKED_FOR_S", 10 * DEADLINE_S)
+
+    async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
+        await meet(side, gateways[0], 5)
+        gateways[0].answer = lambda _request: (Stage.ACCEPTED, Stage.UNKNOWN)
+        answer = await client.post("/api/v1/commands", json={"biobot": 5, "action": "stop", "id": "five"})
+        assert (answer.status_code, answer.json()["outcome"]) == (HTTPStatus.OK, "unknown")
+        assert gateways[1].commands == []
+        gateways[1].publish_node(5)
+        await until(lambda: side.desk.log.get("five").is_done)
+        (request,) = gateways[1].commands
+        assert (request.command_id, request.node, request.pulse) == ("five", NodeId(5), PulseRequest(duration_ms=0))
+        assert (await client.get("/api/v1/commands/five")).json()["outcome"] == "biobot_confirmed"
 
     run_story(story, n_gateways=2)
 

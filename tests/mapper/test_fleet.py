@@ -30,20 +30,22 @@ def a_mode(*, start_s: float, mode: Mode = Mode.S, cause: Cause = Cause.COMMAND,
     )
 
 
+def stop_of_all(at_s: float) -> CommandStage:
+    return CommandStage(
+        command_id=f"all-{at_s}",
+        gateway="base1",
+        node=EVERYBODY,
+        action=StimulationAction.STOP_ALL,
+        stage=Stage.ACCEPTED,
+        wall_ns=Nanoseconds(ANCHOR_NS + round(at_s * NS_PER_S)),
+    )
+
+
 def stopped_fleet() -> Fleet:
     """Return what knows that ``base1`` stopped all at 100 s."""
     fleet = Fleet()
     fleet.take_presence(Token(site="local", kind=Kind.GATEWAY, name="base1"), is_alive=True, now_ns=0)
-    fleet.take_stage(
-        CommandStage(
-            command_id="all",
-            gateway="base1",
-            node=EVERYBODY,
-            action=StimulationAction.STOP_ALL,
-            stage=Stage.ACCEPTED,
-            wall_ns=Nanoseconds(ANCHOR_NS + round(STOPPED_S * NS_PER_S)),
-        )
-    )
+    fleet.take_stage(stop_of_all(STOPPED_S))
     return fleet
 
 
@@ -60,6 +62,15 @@ def test_who_stands_because_all_were_stopped_is_no_landmark(start_s: float, is_h
     fleet.take_modes([a_mode(start_s=start_s + 0.1, mode=Mode.CRW)])
     (view,) = fleet.biobots(now_ns=0)
     assert (view.is_halted, view.is_landmark) == (False, False)
+
+
+def test_who_stops_all_once_more_makes_nobody_a_landmark() -> None:
+    fleet = stopped_fleet()
+    fleet.take_modes([a_mode(start_s=STOPPED_S + 1)])
+    for minutes in range(1, 10):
+        fleet.take_stage(stop_of_all(STOPPED_S + 60 * minutes))
+        (view,) = fleet.biobots(now_ns=0)
+        assert (view.is_halted, view.is_landmark) == (True, False)
 
 
 @pytest.mark.parametrize(("part_of", "is_halted"), [("", False), ("all", True)], ids=["by itself", "as one of all"])

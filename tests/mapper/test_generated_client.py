@@ -19,7 +19,8 @@ from typing import Any, Final
 import httpx
 import pytest
 
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.mapper_side import mapper_side
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving, token_of
@@ -99,7 +100,7 @@ def run_example(example: str, *, url: str, token: str) -> httpx.Response:
     parser.add_argument("--compressed", action="store_true")
     asked = parser.parse_args(rest)
     headers = dict(one.split(": ", 1) for one in asked.headers)
-    return httpx.request(asked.method, asked.url, headers=headers, content=asked.content)
+    return httpx.request(asked.method, asked.url, headers=headers, content=asked.content, timeout=60)
 
 
 def test_a_generated_client_calls_every_operation(tmp_path: Path, package: str) -> None:
@@ -107,9 +108,9 @@ def test_a_generated_client_calls_every_operation(tmp_path: Path, package: str) 
     with ExitStack() as stack, FakeGateway(port=port) as gateway:
         gateway.journal_records(ring_records())
         with serving(tmp_path, connect=port) as (url, _process):
-            document = httpx.get(url + "openapi.json").json()
+            document = httpx.get(url + "openapi.json", timeout=60).json()
             generate(tmp_path, document, package=package)
-            until(lambda: httpx.get(url + "readyz").json()["is_connected"])
+            until(lambda: httpx.get(url + "readyz", timeout=60).json()["is_connected"])
             gateway.publish_status()
             gateway.publish_node(1001)
             client = importlib.import_module(f"{package}.client").AuthenticatedClient(
@@ -117,7 +118,7 @@ def test_a_generated_client_calls_every_operation(tmp_path: Path, package: str) 
             )
             stack.callback(client.get_httpx_client().close)
             models = importlib.import_module(f"{package}.models")
-            until(lambda: httpx.get(url + "api/v1/maps").json()["maps"] != [])
+            until(lambda: httpx.get(url + "api/v1/maps", timeout=60).json()["maps"] != [])
 
             def call(called: str, /, **arguments: object) -> Any:
                 operation = next(one for _, _, one in operations(document) if one["operationId"] == called)

@@ -21,7 +21,8 @@ from firmware_protocol.contract.records import MissionPhase
 from firmware_protocol.units import Nanoseconds
 from mapper.mission_report import ReportFacts, write_report
 from mapper.report_pictures import TimedCount, TimedSpan, draw_timeline
-from tests.mapper.fake_gateway import FakeGateway, account, free_port, mission
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway, account, mission
 from tests.mapper.mapper_side import mapper_side, until
 from tests.mapper.ring import ring_records
 from tests.mapper.web_side import check_against, client_of, meet, openapi_of

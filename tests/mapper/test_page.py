@@ -12,8 +12,9 @@ from playwright.sync_api import Browser, expect
 from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.records import Cause, EncounterRecord, Mode
 from firmware_protocol.units import EVERYBODY, Nanoseconds, NodeId
+from studies.ports import free_port
 from tests.mapper.browser_side import CHROMIUM, PHONE, WAIT_MS, fits_its_width, launched, opened, picture, until
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving, token_of
 from tests.mapper.worlds import FIRST_LANDMARK
@@ -72,11 +73,11 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         gateway.publish_status()
         for walker in range(1, 6):
             gateway.publish_node(walker, heard_ns=time.time_ns(), battery_mv=3300 + 100 * walker)
-        expect(page.locator("#encounters")).to_have_text(str(n_encounters), timeout=WAIT_MS)
+        expect(page.locator("#encounters")).to_have_text(str(n_encounters))
         expect(page.locator("#components")).to_have_text("1")
         expect(page.locator("#holes")).to_have_text("1")
         expect(page.get_by_text("Waiting for encounters")).to_be_hidden()
-        assert page.evaluate(COUNT_HOLE_PIXELS) > 300
+        page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 300")
         page.get_by_role("checkbox", name="holes").uncheck()
         page.wait_for_function(f"({COUNT_HOLE_PIXELS})() < 50")
         page.get_by_role("checkbox", name="holes").check()
@@ -98,17 +99,15 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         expect(page.locator("#rows tr:visible")).to_have_count(4)
         page.get_by_label("Find biobots", exact=True).fill("")
         assert fits_its_width(page)
-        page.wait_for_timeout(300)
+        page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 300")
         picture(page, "page-light")
         with opened(browser, url, token=token_of(tmp_path), scheme="dark") as dark:
             expect(dark.page.locator("#holes")).to_have_text("1")
-            dark.page.wait_for_timeout(300)
-            assert dark.page.evaluate(COUNT_HOLE_PIXELS) > 300
+            dark.page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 300")
             picture(dark.page, "page-dark")
         with opened(browser, url, token=token_of(tmp_path), size=PHONE) as phone:
             expect(phone.page.locator("#holes")).to_have_text("1")
-            phone.page.wait_for_timeout(300)
-            assert phone.page.evaluate(COUNT_HOLE_PIXELS) > 100
+            phone.page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 100")
             assert fits_its_width(phone.page)
             picture(phone.page, "page-phone")
 
@@ -177,7 +176,7 @@ def test_a_page_says_that_its_map_is_of_a_window_and_by_another_method(browser: 
 
         def has_map() -> bool:
             gateway.publish_status()
-            return bool(httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
+            return bool(httpx.get(url + "api/v1/map", timeout=60).status_code == httpx.codes.OK)
 
         until(has_map)
         with opened(browser, url, token=token_of(tmp_path)) as watched:

@@ -16,11 +16,12 @@ from firmware_protocol.contract.records import EncounterRecord
 from mapper.__main__ import main
 from mapper.changes import Topic
 from mapper.rips_engines import name_engine
-from tests.mapper.fake_gateway import FakeGateway, encounter, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway, encounter
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import STOP_S, serving
 
-DEADLINE_S = 30.0
+DEADLINE_S = 60.0
 
 
 def until(is_met: Callable[[], bool]) -> None:
@@ -31,7 +32,7 @@ def until(is_met: Callable[[], bool]) -> None:
 
 
 def get(url: str) -> Any:
-    return httpx.get(url).json()
+    return httpx.get(url, timeout=60).json()
 
 
 @pytest.fixture
@@ -72,7 +73,7 @@ def test_killed_and_started_again_it_has_every_record_once_and_makes_the_map_ane
             until(lambda: get(url + "readyz")["is_connected"])
             gateway.publish_status()
             until(lambda: get(url + "healthz")["n_encounters"] == wanted)
-            until(lambda: httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
+            until(lambda: httpx.get(url + "api/v1/map", timeout=60).status_code == httpx.codes.OK)
             until(lambda: get(url + "api/v1/map")["n_encounters"] == wanted)
             assert get(url + "api/v1/map")["betti_numbers"] == [1, 1]
             # The first life's records were read from the file, not asked for again.
@@ -110,13 +111,13 @@ def test_stopped_and_started_again_it_serves_the_last_map_before_a_gateway_is_th
         until(lambda: get(url + "readyz")["is_connected"])
         gateway.publish_status()
         until(lambda: get(url + "api/v1/map/status")["n_encounters"] == wanted)
-        before = httpx.get(url + "api/v1/map")
+        before = httpx.get(url + "api/v1/map", timeout=60)
     with serving(tmp_path, connect=port, arguments=store) as (url, _process):
-        after, status = httpx.get(url + "api/v1/map"), get(url + "api/v1/map/status")
+        after, status = httpx.get(url + "api/v1/map", timeout=60), get(url + "api/v1/map/status")
         assert (after.headers["etag"], after.content) == (before.headers["etag"], before.content)
         assert (status["n_known"], status["n_waiting"], status["behind_s"], status["is_computing"]) == (wanted, 0, 0, False)
     with serving(tmp_path, connect=port, arguments=[*store, "--window-s", "10"]) as (url, _process):
-        until(lambda: httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
+        until(lambda: httpx.get(url + "api/v1/map", timeout=60).status_code == httpx.codes.OK)
         document = get(url + "api/v1/map")
         assert document["window_s"] == 10
         assert document["n_encounters"] + document["n_before"] == wanted
@@ -136,11 +137,10 @@ def test_event_streams_tell_of_changes_and_do_not_hold_up_the_stop(tmp_path: Pat
                 change for line in lines if line.startswith("data: ") and (change := json.loads(line[6:]))["records"] > first["records"]
             )
             assert seen["biobots"] >= first["biobots"]
-            begun = time.monotonic()
             process.send_signal(signal.SIGTERM)
             assert list(lines) is not None
             assert process.wait(STOP_S) == 0
-            assert time.monotonic() - begun < 4
+    assert "graceful shutdown exceeded" not in (tmp_path / "mapper.log").read_text()
 
 
 def test_no_process_is_left_behind(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_no_process_is_left_behind(tmp_path: Path) -> None:
         with serving(tmp_path, connect=port) as (url, process):
             until(lambda: get(url + "readyz")["is_connected"])
             gateway.publish_status()
-            until(lambda: httpx.get(url + "api/v1/map").status_code == httpx.codes.OK)
+            until(lambda: httpx.get(url + "api/v1/map", timeout=60).status_code == httpx.codes.OK)
             threads = Path(f"/proc/{process.pid}/task").iterdir()
             children = [int(pid) for thread in threads for pid in (thread / "children").read_text().split()]
             assert children

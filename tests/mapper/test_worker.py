@@ -12,9 +12,13 @@ import pytest
 from mapper.changes import Topic
 from mapper.errors import JobError, NoMapYetError, WorkerDiedError
 from mapper.worker import Worker
-from tests.mapper.fake_gateway import FakeGateway, encounter, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway, encounter
 from tests.mapper.mapper_side import Side, mapper_side, until
 from tests.mapper.ring import ring_records
+
+HOURS_S = 7200
+"""Whoever waits for such a job is ended by pytest's own limit."""
 
 
 def test_jobs_run_in_another_process_and_answer_in_order() -> None:
@@ -35,7 +39,7 @@ def test_a_killed_worker_is_told_and_the_next_job_has_a_new_one() -> None:
     async def story() -> None:
         worker = Worker(name="test")
         first = await worker.run(os.getpid)
-        job = asyncio.create_task(worker.run(time.sleep, 60))
+        job = asyncio.create_task(worker.run(time.sleep, HOURS_S))
         await asyncio.sleep(0)
         os.kill(first, signal.SIGKILL)
         with pytest.raises(WorkerDiedError, match="killed by signal 9") as caught:
@@ -52,15 +56,13 @@ def test_a_killed_worker_is_told_and_the_next_job_has_a_new_one() -> None:
 def test_a_cancellation_while_the_process_starts_or_works_ends_it_at_once(delay_s: float) -> None:
     async def story() -> None:
         worker = Worker(name="test")
-        job = asyncio.create_task(worker.run(time.sleep, 60))
+        job = asyncio.create_task(worker.run(time.sleep, HOURS_S))
         await asyncio.sleep(delay_s)
-        begun = time.monotonic()
         job.cancel()
         with pytest.raises(asyncio.CancelledError):
             await job
         await worker.aclose()
         assert worker.pid is None
-        assert time.monotonic() - begun < 20, "it did not wait for the job's minute"
 
     asyncio.run(story())
 
@@ -84,7 +86,7 @@ def test_a_job_given_up_never_answers_for_the_next_one() -> None:
         pid = await worker.run(os.getpid)
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.1):
-                await worker.run(time.sleep, 60)
+                await worker.run(time.sleep, HOURS_S)
         assert await worker.run(os.getpid) != pid
         await worker.aclose()
 
@@ -95,13 +97,11 @@ def test_a_worker_can_be_closed_while_it_works() -> None:
     async def story() -> None:
         worker = Worker(name="test")
         pid = await worker.run(os.getpid)
-        job = asyncio.create_task(worker.run(time.sleep, 60))
+        job = asyncio.create_task(worker.run(time.sleep, HOURS_S))
         await asyncio.sleep(0.05)
-        begun = time.monotonic()
         await worker.aclose()
         with pytest.raises(WorkerDiedError):
             await job
-        assert time.monotonic() - begun < 5
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
 

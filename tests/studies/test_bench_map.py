@@ -30,6 +30,7 @@ def cuts(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     return cut_run([500, _N], seed=3, directory=tmp_path_factory.mktemp("cuts"), tell=lambda _: None)
 
 
+@pytest.mark.campaign
 def test_a_run_tells_every_case_and_ratio_and_that_results_are_equal(
     cuts: dict[int, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -150,6 +150,7 @@ def test_an_account_sees_what_is_wrong(tmp_path: Path, records: tuple[EncounterR
     assert account.examples
 
 
+@pytest.mark.campaign
 def test_a_short_campaign_is_sound(tmp_path: Path) -> None:
     """Real processes, every dialect, every kind of fault that this machine allows."""
     out = tmp_path / "out"

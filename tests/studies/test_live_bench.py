@@ -69,7 +69,7 @@ def test_the_tap_passes_all_on_and_times_every_acknowledgement() -> None:
             least: list[float] = []
             n_sent, payloads = 0, list[bytes]()
             while len(tap.waits) < n_payloads:
-                assert time.monotonic() < begun + 30
+                assert time.monotonic() < begun + 120
                 if dongle.link.state is LinkState.OPEN and n_sent < n_payloads and dongle.link.n_free:
                     dongle.link.send(n_sent.to_bytes(2, "little"), now_ns=time.monotonic_ns())
                     n_sent += 1

@@ -57,6 +57,7 @@ def test_those_that_hear_each_other_from_far_are_no_gathering() -> None:
     assert not walks_at_random(replace(measured, unevenness=6.5))
 
 
+@pytest.mark.campaign
 def test_of_those_that_follow_walls_no_hole_is_claimed_and_nothing_contradicts_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,13 +9,14 @@ import requests
 from urllib3 import HTTPResponse
 
 from mapper.access import Role, add_token
+from studies.ports import free_port
 from studies.rest_campaign.asked import Asked, Way
 from studies.rest_campaign.askers import Asker, Target, is_let_in
 from studies.rest_campaign.campaign import run_campaign
 from studies.rest_campaign.judge import judge
 from studies.rest_campaign.operations import Operation, load_operations
 from studies.rest_campaign.tally import Tally, write_command, write_report
-from tests.mapper.fake_gateway import FakeGateway, free_port
+from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving
 from tests.mapper.test_service import until
@@ -33,16 +34,17 @@ NOT_DESCRIBED = "nothing is told that is not described"
 STRICT = {"Content-Security-Policy": "", "X-Content-Type-Options": "", "X-Frame-Options": "", "Referrer-Policy": ""}
 
 
+@pytest.mark.campaign
 def test_what_the_document_says_holds_for_a_hundred_requests(tmp_path: Path) -> None:
     port = free_port()
     tokens = {role: add_token(tmp_path / "tokens.json", name=f"the {role}", role=role).text for role in Role}
     with FakeGateway(port=port) as gateway:
         gateway.journal_records(ring_records())
         with serving(tmp_path, connect=port) as (url, _process):
-            until(lambda: httpx.get(url + "readyz").json()["is_connected"])
+            until(lambda: httpx.get(url + "readyz", timeout=60).json()["is_connected"])
             gateway.publish_status()
             gateway.publish_node(1)
-            until(lambda: httpx.get(url + "api/v1/maps").json()["maps"] != [])
+            until(lambda: httpx.get(url + "api/v1/maps", timeout=60).json()["maps"] != [])
             tally = run_campaign(Target(url=url.rstrip("/"), tokens=tokens), n_cases=100, seed_number=1)
     assert not tally.failures, write_report(tally, {})
     assert tally.n_cases >= 100

@@ -61,9 +61,14 @@ def map_of_run(run_directory: Path) -> MapResult:
     return compute_map(read_encounters(run_directory / "encounters.csv"), read_modes(run_directory / "modes.csv"), recipe)
 
 
+@pytest.fixture(scope="module")
+def map_text(map_of_run: MapResult) -> str:
+    return json.dumps(to_json_object(map_of_run))
+
+
 @pytest.fixture
-def map_json(map_of_run: MapResult) -> JsonObject:
-    document: JsonObject = json.loads(json.dumps(to_json_object(map_of_run)))
+def map_json(map_text: str) -> JsonObject:
+    document: JsonObject = json.loads(map_text)
     return document
 
 

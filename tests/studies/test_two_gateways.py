@@ -6,7 +6,7 @@ import pytest
 
 from studies.two_gateways import Settings, run
 
-pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.campaign, pytest.mark.e2e, pytest.mark.timeout(120)]
 
 AHEAD_S = 300.0
 

@@ -32,6 +32,7 @@ def loops_of(*lengths: float) -> "np.ndarray[tuple[int, ...], np.dtype[np.float6
     return np.column_stack([np.full(len(lengths), 1.0), 1.0 + np.array(lengths)])
 
 
+@pytest.mark.campaign
 def test_every_experiment_runs_from_the_first_run_to_the_last_table(tmp_path: Path) -> None:
     setting = quick_setting(tmp_path)
     for experiment in EXPERIMENTS:

@@ -40,6 +40,7 @@ def without_times(path: Path) -> Any:
     return account
 
 
+@pytest.mark.campaign
 def test_a_sweep_that_was_killed_goes_on_and_gives_what_an_undisturbed_one_gives(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,117 @@
+"""What must hold before anything is changed: programs that the services' user may run, room on the disk, ports that are free."""
+
+import contextlib
+import errno
+import os
+import shutil
+import socket
+import stat
+import subprocess
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePosixPath
+
+from gateway.errors import InstallationError
+from gateway.installation.layout import CONFIGURATION, DATA, SERVICES, UNITS
+
+MIN_FREE_BYTES = 64 * 1024 * 1024
+"""For units and configurations a hundredth would do; a journal needs some from its first minute on."""
+
+_HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # noqa: S108  # named because units do not see them
+"""What ProtectHome= and PrivateTmp= of the units hide from them (systemd.exec(5))."""
+
+_PACKAGES = {"router": ("zenoh",), "gateway": ("zenoh", "serial", "uvicorn"), "mapper": ("zenoh", "fastapi", "scipy")}
+_EXTRAS = {"router": "gateway", "gateway": "gateway", "mapper": "mapper"}
+_LISTENS: dict[str, dict[str, object]] = {
+    "router": {"listen": ["tcp/127.0.0.1:7447"]},
+    "gateway": {"listen": ["tcp/127.0.0.1:7447"]},
+    "mapper": {"serve": {"host": "127.0.0.1", "port": 8080}},
+}
+"""Where a service listens by default, by the keys of its configuration."""
+
+
+def check_programs(programs: PurePosixPath, *, services: Sequence[str]) -> None:
+    """Raise ``InstallationError`` where the units could not start the programs that are there."""
+    here = Path(programs)
+    python = here / "bin" / "python"
+    for name in services:
+        program = here / "bin" / SERVICES[name].program
+        if not program.is_file():
+            next_step = "install the wheel into a virtual environment, and run its biobot-gateway; or name its folder with --programs"
+            raise InstallationError(what=str(program), reason="is not there", next_step=next_step)
+        wanted = ", ".join(repr(package) for package in _PACKAGES[name])
+        asked = f"from importlib.util import find_spec; print(*[one for one in ({wanted},) if find_spec(one) is None])"
+        done = subprocess.run([str(python), "-c", asked], capture_output=True, text=True, check=False, cwd="/")
+        if missing := done.stdout.split() if done.returncode == 0 else [done.stderr.strip()[-200:]]:
+            next_step = f"install biobot-gateway[{_EXTRAS[name]}] there, or choose fewer --services"
+            raise InstallationError(what=f"{python}, for {name}", reason=f"has no {missing[0]}", next_step=next_step)
+    for path in (python, Path(os.path.realpath(python))):
+        _check_reachable(path)
+
+
+def _check_reachable(path: Path) -> None:
+    next_step = "make the virtual environment in a folder such as /opt/biobot, of a Python that all may run, such as /usr/bin/python3"
+    if hidden := next((folder for folder in _HIDDEN if path.is_relative_to(folder)), None):
+        raise InstallationError(what=str(path), reason=f"units do not see what is in {hidden}", next_step=next_step)
+    for folder in path.parents:
+        if not folder.stat().st_mode & stat.S_IXOTH:
+            raise InstallationError(what=str(folder), reason="the services' user may not enter it", next_step=next_step)
+
+
+def check_room(root: Path) -> None:
+    """Raise ``InstallationError`` where there is little room on a disk that is written to."""
+    for path in (UNITS, CONFIGURATION, DATA):
+        here = root / path.relative_to("/")
+        there = next(folder for folder in (here, *here.parents) if folder.exists())
+        free = shutil.disk_usage(there).free
+        if free < MIN_FREE_BYTES:
+            limit = f"{free / 1e6:.0f} MB are free, and {MIN_FREE_BYTES / 1e6:.0f} MB are needed"
+            raise InstallationError(what=str(path), reason=limit, next_step="make room")
+
+
+def check_addresses(services: Sequence[str], *, running: Sequence[str]) -> list[str]:
+    """Return what stands in the way of the services' ports: two that want the same, or another program that has it."""
+    problems = []
+    wanted: dict[tuple[str, int], str] = {}
+    for name in services:
+        for address in _addresses(name):
+            host, port = address
+            other = wanted.setdefault(address, name)
+            if other != name:
+                problems.append(
+                    f"{other} and {name} both listen on {host}:{port}; beside a router, gateway.toml has "
+                    f'listen = [] and connect = ["tcp/127.0.0.1:{port}"], as in gateway.toml.new'
+                )
+            elif name not in running and (reason := _why_taken(host, port)):
+                problems.append(f"{name} is to listen on {host}:{port}: {reason}; end what listens there (ss -ltnp), or change {name}.toml")
+    return problems
+
+
+def _addresses(name: str) -> Iterator[tuple[str, int]]:
+    """Yield host and port of all that a service's configuration listens on; one that cannot be read is told by its own program."""
+    written: dict[str, object] = {}
+    with contextlib.suppress(OSError, ValueError):
+        written = tomllib.loads(Path(SERVICES[name].configuration).read_text(encoding="utf-8"))
+    keys = _LISTENS[name] | written
+    listen, serve, monitor = keys.get("listen"), keys.get("serve"), keys.get("monitor")
+    texts = [str(endpoint).partition("/")[2] for endpoint in listen] if isinstance(listen, list) and name != "mapper" else []
+    if name == "mapper" and isinstance(serve, dict):
+        page = {"host": "127.0.0.1", "port": 8080} | serve
+        texts.append(f"{page['host']}:{page['port']}")
+    if isinstance(monitor, dict):
+        texts.append(str(monitor.get("listen", "")))
+    for text in texts:
+        host, _, port = text.rpartition(":")
+        if port.isascii() and port.isdigit() and 0 < int(port) < 65536:
+            yield host.strip("[]"), int(port)
+
+
+def _why_taken(host: str, port: int) -> str:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host, port))
+    except OSError as error:
+        return "another program has it" if error.errno == errno.EADDRINUSE else (error.strerror or str(error)).lower()
+    return ""

@@ -1,0 +1,81 @@
+"""Install, upgrade, break and remove the services for real, and say what was seen; ``make install-check``."""
+
+import argparse
+import json
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from scripts.containers.podman import CheckFailedError, Podman, missing
+from scripts.installed import checks
+from scripts.installed.machine import Machine
+
+_ROOT = Path(__file__).parents[2]
+_UNUSED = ("podman-compose",)
+"""What building and running compose files needs and this does not."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Do it; 0 all is as it should be, or skipped with --skip; 1 something is not; 2 something is missing here."""
+    options = _parser().parse_args(arguments)
+    if problems := [problem for problem in missing() if not problem.startswith(_UNUSED)]:
+        print("a machine with systemd cannot be made here:", *(f"  {problem}" for problem in problems), sep="\n", file=sys.stderr)
+        if options.skip:
+            print("skipped: make install-check")
+            return 0
+        return 2
+    home: Path = options.home.resolve()
+    podman = Podman(home)
+    seen: list[str] = []
+    started = time.monotonic()
+
+    def say(text: str) -> None:
+        print(f"{time.monotonic() - started:6.0f} s  {text}", flush=True)
+        seen.append(text)
+
+    try:
+        _live(podman, say, suite=options.suite)
+    except (CheckFailedError, subprocess.SubprocessError) as error:
+        print(f"failed: {error}; the machine's journal is {home / 'journal.log'}", file=sys.stderr)
+        return 1
+    finally:
+        facts = {"date": f"{datetime.now(UTC):%Y-%m-%d}", "suite": options.suite, "machine": platform.machine(), "seen": seen}
+        (home / "result.json").write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+    print(f"all as it should be; {home / 'result.json'}")
+    return 0
+
+
+def _live(podman: Podman, say: checks.Say, *, suite: str) -> None:
+    """Live through a station's life."""
+    machine = Machine(podman, source=_ROOT, suite=suite)
+    machine.fetch_wheels()
+    with machine:
+        say(f"Debian {suite} runs, with {machine.run('systemctl --version').splitlines()[0]}")
+        checks.make_simulator(machine, "1.0.0")
+        before = machine.files()
+        checks.check_refusals(machine, say)
+        checks.start_insects(machine)
+        checks.check_installation(machine, say, "1.0.0")
+        checks.check_units(machine, say)
+        checks.check_upgrade(machine, say, "1.1.0", "1.0.0")
+        checks.check_broken_upgrades(machine, say, "1.1.0")
+        checks.check_boot(machine, say)
+        checks.check_obstacles(machine, say)
+        checks.check_watchdogs(machine, say)
+        checks.check_removal(machine, say, before)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="make install-check ARGS=...", description=(__doc__ or "").partition(";")[0] + ".")
+    parser.add_argument("--suite", default="bookworm", help="release of Debian (default: bookworm)")
+    parser.add_argument("--skip", action="store_true", help="where something is missing, say what and count as done")
+    parser.add_argument("--home", type=Path, default=Path("artifacts/install-check"), help="store, wheels, logs and result")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

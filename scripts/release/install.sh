@@ -1,0 +1,98 @@
+#!/bin/sh
+# Install biobot from this folder, without a network: install.sh [--prefix DIR] [--python PROGRAM] [--check] [--service ...]
+#
+# What is in this folder is checked against SHA256SUMS first. A virtual environment is made in PREFIX/VERSION, a fresh one each time (VERSION-2,
+# VERSION-3, ...), so that what runs is never changed under its feet; one that could not be finished is taken away again.
+set -eu
+umask 022
+here=$(cd "$(dirname "$0")" && pwd)
+version=$(cat "$here/VERSION")
+prefix=/opt/biobot
+python=
+only_check=
+with_service=
+
+usage() {
+  cat <<EOF
+usage: sh install.sh [options]
+
+Install biobot $version into a virtual environment of its own. Nothing is fetched.
+
+  --prefix DIR       where to (default: /opt/biobot); the environment is DIR/$version
+  --python PROGRAM   which Python, 3.11 to 3.14 (default: the first of python3, python3.14, ... python3.11 that fits)
+  --check            only see whether this folder is whole and fits this machine
+  --service ...      then set up system services (root): all that follows goes to
+                     biobot-gateway install-service, as in: --service --port serial:/dev/ttyUSB0 --site tent
+  --help             say this
+EOF
+}
+fail() { echo "error: $*" >&2; exit 1; }
+
+while [ $# -gt 0 ]; do
+  case $1 in
+    --prefix) [ $# -ge 2 ] || { echo "error: --prefix wants a folder" >&2; exit 2; }; prefix=$2; shift 2 ;;
+    --python) [ $# -ge 2 ] || { echo "error: --python wants a program" >&2; exit 2; }; python=$2; shift 2 ;;
+    --check) only_check=yes; shift ;;
+    --service) with_service=yes; shift; break ;;
+    --help | -h) usage; exit 0 ;;
+    *) echo "error: $1 is no option; sh install.sh --help lists them" >&2; exit 2 ;;
+  esac
+done
+case $prefix in /*) ;; *) prefix=$PWD/$prefix ;; esac
+
+# What a Python says of itself: "3.11-x86_64" where it fits, else why not. A 32-bit Python on a 64-bit kernel is told by the size of its integers.
+tell='
+import os, sys, sysconfig
+name, machine = "%d.%d" % sys.version_info[:2], os.uname().machine
+glibc = os.confstr("CS_GNU_LIBC_VERSION") if "CS_GNU_LIBC_VERSION" in os.confstr_names else ""
+if not (3, 11) <= sys.version_info[:2] < (3, 15): print("no: it is Python %s, and 3.11 to 3.14 are wanted" % name)
+elif sys.implementation.name != "cpython" or sysconfig.get_config_var("Py_GIL_DISABLED"): print("no: it is not the usual CPython")
+elif sys.maxsize < 2**32: print("no: it is a 32-bit Python, and a 64-bit system is wanted")
+elif not glibc: print("no: its C library is not glibc (musl, as in Alpine Linux, has no wheels here)")
+elif tuple(map(int, glibc.split()[1].split("."))) < tuple(map(int, sys.argv[1].split("."))):
+    print("no: its C library is %s, and %s or newer is wanted: Debian 12, Ubuntu 24.04, Raspberry Pi OS 12" % (glibc, sys.argv[1]))
+else: print(name + "-" + machine)
+'
+fits=
+for candidate in ${python:-python3 python3.14 python3.13 python3.12 python3.11}; do
+  command -v "$candidate" >/dev/null 2>&1 || { told="no: there is no $candidate"; continue; }
+  told=$("$candidate" -I -c "$tell" "$(cat "$here/GLIBC")" 2>/dev/null) || told="no: $candidate does not start"
+  case $told in
+    no:*) continue ;;
+    *) [ -f "$here/requirements/$told.txt" ] || { told="no: this bundle has nothing for Python ${told%%-*} on ${told#*-}"; continue; } ;;
+  esac
+  fits=$told; python=$candidate; break
+done
+[ -n "$fits" ] || fail "no Python here that fits; of the last one tried: ${told#no: }. This bundle is for: $(cd "$here/requirements" && echo *.txt | sed 's/\.txt//g'); --python names another"
+
+command -v sha256sum >/dev/null 2>&1 || fail "no sha256sum here, which is in coreutils: without it this folder cannot be checked"
+(cd "$here" && sha256sum --quiet -c SHA256SUMS >&2) || fail "this folder is not what was packed (above); copy it anew"
+echo "biobot $version: this folder is whole; $(command -v "$python") fits ($fits)"
+[ -z "$only_check" ] || exit 0
+
+if [ -n "$with_service" ] && [ "$(id -u)" != 0 ]; then fail "--service sets up system services and wants root: sudo sh install.sh ..."; fi
+target=$prefix/$version
+number=2
+while [ -e "$target" ]; do target=$prefix/$version-$number; number=$((number + 1)); done
+mkdir -p "$target" 2>/dev/null || fail "$target cannot be made; run this as root, or name a folder of yours with --prefix"
+trap 'rm -rf "$target"' EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM
+
+"$python" -I -m venv --without-pip "$target" || fail "$python cannot make a virtual environment in $target"
+# pip reads no configuration and no variables here: it must find nothing but what is in this folder.
+for name in $(env | sed -n 's/^\(PIP_[A-Z_]*\)=.*/\1/p'); do unset "$name"; done
+pip=$(ls "$here"/wheels/pip-*.whl)
+PYTHONPATH=$pip PIP_CONFIG_FILE=/dev/null "$target/bin/python" -m pip install --quiet --disable-pip-version-check --no-cache-dir --no-index \
+  --find-links "$here/wheels" --no-deps --require-hashes --requirement "$here/requirements/$fits.txt" || fail "pip could not install (above)"
+"$target/bin/biobot-mapper" warm-up --quiet || fail "what was installed cannot make a map (above)"
+trap - EXIT INT TERM
+
+echo "installed in $target: $("$target/bin/biobot-gateway" --version)"
+if [ -n "$with_service" ]; then
+  "$target/bin/biobot-gateway" install-service "$@" && exit 0
+  # A version that gave way to the one before is of no use; one that waits for a correction of its configuration is recorded.
+  grep -qs "\"programs\": \"$target\"" /var/lib/biobot/installed.json || rm -rf "$target"
+  fail "the services do not run yet (above)"
+fi
+echo "try it: $target/bin/python -m studies.demo --exit --out ~/biobot-demo"
