@@ -16,7 +16,7 @@ from studies.live_feeder import NAME as FEEDER
 from studies.live_life import Life, fill_store
 from studies.page_speed.herd import NAME as HERD
 from studies.parts import Parts
-from studies.system import free_port
+from studies.ports import free_port
 
 _NS_PER_S: Final = 1_000_000_000
 _OPERATOR: Final = "operator"

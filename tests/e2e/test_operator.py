@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from studies.chromium import CHROMIUM, launched
 from studies.system import RunningSystem, SystemSettings
-from tests.mapper.browser_side import CHROMIUM, launched, opened, picture
+from tests.mapper.browser_side import opened, picture
 
 pytestmark = [
     pytest.mark.e2e,

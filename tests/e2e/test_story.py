@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from studies.chromium import CHROMIUM, launched
 from studies.system import RunningSystem, SystemSettings
-from tests.mapper.browser_side import CHROMIUM, DESK, PHONE, WAIT_MS, accessibility_faults, fits_its_width, launched, opened, picture
+from tests.mapper.browser_side import DESK, PHONE, WAIT_MS, accessibility_faults, fits_its_width, opened, picture
 
 pytestmark = [
     pytest.mark.e2e,

@@ -11,9 +11,6 @@ from typing import Any, Literal
 
 from playwright.sync_api import Browser, Page, expect
 
-from studies.chromium import CHROMIUM as CHROMIUM
-from studies.chromium import launched as launched
-
 ARTIFACTS = Path(__file__).parents[2] / "artifacts"
 WAIT_MS = 60_000
 expect.set_options(timeout=WAIT_MS)

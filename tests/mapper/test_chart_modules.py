@@ -18,7 +18,7 @@ from mapper.config import RecipeConfig, make_recipe
 from mapper.length_shares import WHOLE, encode_lengths
 from mapper.polygons import contains
 from mapper.types import ComponentMap, MapResult, Points
-from tests.mapper.browser_side import CHROMIUM, launched
+from studies.chromium import CHROMIUM, launched
 
 pytestmark = [
     pytest.mark.browser,

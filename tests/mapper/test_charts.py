@@ -10,19 +10,9 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from firmware_protocol.contract.records import EncounterRecord
+from studies.chromium import CHROMIUM, launched
 from studies.ports import free_port
-from tests.mapper.browser_side import (
-    CHROMIUM,
-    DESK,
-    PHONE,
-    accessibility_faults,
-    fits_its_width,
-    launched,
-    opened,
-    picture,
-    tab_to,
-    until,
-)
+from tests.mapper.browser_side import DESK, PHONE, accessibility_faults, fits_its_width, opened, picture, tab_to, until
 from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.serving import serving, token_of
 from tests.mapper.two_holes import two_holes

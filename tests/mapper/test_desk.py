@@ -19,21 +19,9 @@ from firmware_protocol.contract.mission_orders import MissionAction
 from firmware_protocol.contract.records import Cause, MissionPhase, Mode
 from firmware_protocol.units import EVERYBODY
 from mapper.access import Role, add_token, revoke_token
+from studies.chromium import CHROMIUM, launched
 from studies.ports import free_port
-from tests.mapper.browser_side import (
-    CHROMIUM,
-    DESK,
-    PHONE,
-    WAIT_MS,
-    Watched,
-    accessibility_faults,
-    fits_its_width,
-    launched,
-    opened,
-    picture,
-    tab_to,
-    until,
-)
+from tests.mapper.browser_side import DESK, PHONE, WAIT_MS, Watched, accessibility_faults, fits_its_width, opened, picture, tab_to, until
 from tests.mapper.fake_gateway import FakeGateway, account, mission
 from tests.mapper.serving import serving, shown, token_of
 

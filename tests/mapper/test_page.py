@@ -12,8 +12,9 @@ from playwright.sync_api import Browser, expect
 from firmware_protocol.contract.commands import Stage, StimulationAction, StimulationRequest
 from firmware_protocol.contract.records import Cause, EncounterRecord, Mode
 from firmware_protocol.units import EVERYBODY, Nanoseconds, NodeId
+from studies.chromium import CHROMIUM, launched
 from studies.ports import free_port
-from tests.mapper.browser_side import CHROMIUM, PHONE, WAIT_MS, fits_its_width, launched, opened, picture, until
+from tests.mapper.browser_side import PHONE, WAIT_MS, fits_its_width, opened, picture, until
 from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving, token_of
