@@ -26,7 +26,7 @@ from studies.system import PartFailedError, RunningSystem, SystemSettings
 from studies.truth import load_run
 
 _DESK, _PHONE = (1280, 800), (390, 844)
-_COLOURS = 96
+_COLOURS = 200
 """Of a picture: few enough that all of them together stay below a megabyte, and none looks spoilt."""
 
 _WAIT_MS = 300_000

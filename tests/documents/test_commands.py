@@ -20,7 +20,7 @@ from tests.documents.running import RULES, Extent, rule_for
 
 BLOCKS = block_commands()
 WITH_PROGRAMS = sorted({one.document for one in BLOCKS if one.program in PROGRAMS})
-SYSTEM = {"apt-get", "cat", "cd", "curl", "docker", "git", "ip", "ls", "qemu-system-arm", "systemctl", "tar"}
+SYSTEM = {"apt-get", "cat", "cd", "curl", "docker", "git", "ip", "ls", "qemu-system-arm", "sh", "sha256sum", "systemctl", "tar"}
 """Programs that are not ours. What they are told of ours is looked at: files of ours by their path; requests in test_requests.py."""
 
 
