@@ -1,8 +1,11 @@
 """TCP ports of loopback for programs that are started a moment later: nobody else is given them in the meantime."""
 
+import atexit
+import contextlib
 import socket
 
-_kept: list[socket.socket] = []
+_kept = contextlib.ExitStack()
+atexit.register(_kept.close)
 
 
 def free_port() -> int:
@@ -12,9 +15,8 @@ def free_port() -> int:
     nor to an outgoing connection. It never listens: with ``SO_REUSEADDR``, as Zenoh, asyncio and uvicorn set it, another socket may,
     and until then a connection is refused.
     """
-    one = socket.socket()
+    one = _kept.enter_context(socket.socket())
     one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     one.bind(("127.0.0.1", 0))
-    _kept.append(one)
     port: int = one.getsockname()[1]
     return port

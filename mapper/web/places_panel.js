@@ -109,9 +109,11 @@ export class PlacesPanel {
     if ((x === null) !== (y === null)) return this.tell("Give both x and y, or neither.", false);
     const place = this.formOf(this.place.value);
     if (!place) return this.tell("Choose a landmark, or tap the map, first.", false);
+    const sent = [this.name, this.x, this.y].map((input) => [input, input.value]);
     await this.attempt(async () => {
       await this.onPut({ name, place, x, y });
-      for (const input of [this.name, this.x, this.y]) input.value = "";
+      // Who is quick has begun to write the next one meanwhile: that stays.
+      sent.filter(([input, value]) => input.value === value).forEach(([input]) => (input.value = ""));
       this.takeSpot(null);
       return `${name} is on the map.`;
     });

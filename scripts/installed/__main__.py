@@ -61,11 +61,11 @@ def _live(podman: Podman, say: checks.Say, *, suite: str) -> None:
         checks.start_insects(machine)
         checks.check_installation(machine, say, "1.0.0")
         checks.check_units(machine, say)
-        checks.check_watchdogs(machine, say)
         checks.check_upgrade(machine, say, "1.1.0", "1.0.0")
         checks.check_broken_upgrades(machine, say, "1.1.0")
         checks.check_boot(machine, say)
         checks.check_obstacles(machine, say)
+        checks.check_watchdogs(machine, say)
         checks.check_removal(machine, say, before)
 
 

@@ -26,7 +26,9 @@ print(sqlite3.connect("file:{path}?mode=ro&immutable=1", uri=True).execute("SELE
 def make_simulator(machine: Machine, version: str) -> None:
     """Have insects that walk, at the end of a line that a gateway can open."""
     machine.copy_checkout(_CHECKOUT, version=version)
-    machine.run(f"cd {_CHECKOUT} && {_OFFLINE} sh scripts/install.sh /sim requirements/simulator.txt", timeout_s=_INSTALL_S)
+    machine.run(
+        f"cd {_CHECKOUT} && {_OFFLINE} PIP_NO_COMPILE=1 sh scripts/install.sh /sim requirements/simulator.txt", timeout_s=_INSTALL_S
+    )
     machine.run(f"{_OFFLINE} /sim/bin/python -m pip install --quiet --no-build-isolation --no-deps {_CHECKOUT}", timeout_s=_INSTALL_S)
     machine.run("rm -rf /sim/bin/biobot-gateway /sim/bin/biobot-mapper")
 
@@ -63,7 +65,8 @@ def check_installation(machine: Machine, say: Say, version: str) -> None:
     say(f"installed version {version}: without a dongle it says what to do; with one there is a map; a second time changes nothing")
     said = machine.run("biobot-gateway install-service --services router")
     _expect("router and gateway both listen on 127.0.0.1:7447" in said and "gateway.toml.new" in said, said)
-    machine.run("sed -i -e 's/^listen = .*/listen = []/' -e 's|^connect = .*|connect = [\"tcp/127.0.0.1:7447\"]|' /etc/biobot/gateway.toml")
+    edit = "sed -i -e '1,/^.monitor/s/^listen = .*/listen = []/' -e 's|^connect = .*|connect = [\"tcp/127.0.0.1:7447\"]|'"
+    machine.run(f"{edit} /etc/biobot/gateway.toml")
     machine.run("systemctl restart biobot-gateway && systemctl start biobot-router")
     _expect_units(machine, version)
     _expect_served(machine)
@@ -141,10 +144,10 @@ def check_broken_upgrades(machine: Machine, say: Say, running: str) -> None:
     _expect("of_the_future" not in tables and "record" in tables, f"the store was not put back: {tables}")
     _expect("schema-" not in machine.run("ls /var/lib/biobot/mapper"), "a copy of the data was left")
     say("a store that the broken version had written in a newer form was put back")
-    machine.run("sed -i 's/^listen = .*/listen = [\"carrier-pigeon\"]/' /etc/biobot/gateway.toml")
+    machine.run("sed -i '1,/^.monitor/s/^listen = .*/listen = [\"carrier-pigeon\"]/' /etc/biobot/gateway.toml")
     said = _make(machine, "install", version="9.0.3", status=2)
     _expect("nothing was changed" in said and "carrier-pigeon" in said, said)
-    machine.run("sed -i 's/^listen = .*/listen = []/' /etc/biobot/gateway.toml")
+    machine.run("sed -i '1,/^.monitor/s/^listen = .*/listen = []/' /etc/biobot/gateway.toml")
     say("a configuration that is not valid is told before anything is changed")
 
 

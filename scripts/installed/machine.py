@@ -1,5 +1,6 @@
 """A Debian machine with systemd as its first process, in a container that has no network but its own loopback."""
 
+import hashlib
 import shlex
 import subprocess
 import sys
@@ -47,10 +48,16 @@ class Machine:
                 f"the machine has Python {theirs}, and this is Python {ours}x: run it with the machine's, for its wheels"
             )
         self._wheels.mkdir(exist_ok=True)
+        files = [self._source / "requirements" / f"{name}.txt" for name in _REQUIREMENTS]
+        wanted = hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+        mark = self._wheels / "complete"
+        if mark.exists() and mark.read_text(encoding="utf-8") == wanted:
+            return
         for name in _REQUIREMENTS:
             command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-build-isolation", "--require-hashes"]
             command += ["--dest", str(self._wheels), "--requirement", f"requirements/{name}.txt"]
             subprocess.run(command, cwd=self._source, check=True)
+        mark.write_text(wanted, encoding="utf-8")
 
     def __enter__(self) -> Self:
         self._podman.attempt("rm", "--force", "--time", "5", NAME)

@@ -179,7 +179,7 @@ def test_three_pins_lay_the_map_into_the_operators_frame_and_ways_are_found_betw
         page.locator("#pin-x").fill(str(at[0]))
         page.locator("#pin-y").fill(str(at[1]))
         page.get_by_role("button", name="Name it").click()
-        expect(page.locator(".pins")).to_contain_text(name)
+        expect(page.locator("#places-outcome")).to_have_text(f"{name} is on the map.")
     expect(page.locator("#pins-frame")).to_contain_text("in your frame")
     expect(page.locator("#orientation")).to_contain_text("in your frame")
     page.wait_for_function(f"({COUNT_PIXELS})('--pin') > 300")
