@@ -116,6 +116,8 @@ class Command:
         outcomes = {answer.outcome for answer in answers}
         if self.action is StimulationAction.STOP and Outcome.BIOBOT_CONFIRMED in outcomes:
             return Outcome.BIOBOT_CONFIRMED
+        if self.action is StimulationAction.STOP and None not in outcomes and Outcome.UNKNOWN in outcomes:
+            return Outcome.UNKNOWN  # another gateway may have stopped it, so nobody can say that it was not delivered
         return None if None in outcomes else next(outcome for outcome in _WORST_FIRST if outcome in outcomes)
 
     @property

@@ -92,7 +92,8 @@ def _run(system: RunningSystem, *, keep_open: bool) -> int:
     draw_comparison(fit_map(document, run), settings.out / "comparison.png", title=f"{settings.scenario}, seed {settings.seed}")
     is_right = _report(score_map(document, system.truth_directory), ledger, n_drawn=document["n_encounters"], out=settings.out)
     if keep_open:
-        print(f"\nThe page stays open: {system.url}/   (Ctrl-C ends)")
+        print("\nThe simulated insects have gone: the page shows their radio as down, and nobody obeys any more.")
+        print(f"The page stays open: {system.url}/   (Ctrl-C ends)")
         _wait_for_interrupt(system)
     return 0 if is_right else 1
 

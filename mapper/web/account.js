@@ -17,6 +17,7 @@ const element = (id) => document.getElementById(id);
 export class Account {
   constructor({ onChange }) {
     this.me = NOBODY;
+    this.isAsking = false;
     this.onChange = onChange;
     this.guarded = new Map();
     this.panel = new Panel({ panel: element("account"), opener: element("account-open"), onOpen: () => this.showPanel() });
@@ -103,17 +104,27 @@ export class Account {
     location.reload();
   }
 
-  /** A token that was valid is not any more, or one is needed for everything. */
-  onRefused() {
+  /** A token that was valid is not any more, or what was asked for needs one. Whoever may look without one goes on looking. */
+  async onRefused() {
     const hadToken = hasToken();
     setToken(null);
-    this.me = NOBODY;
-    this.show();
     if (hadToken) {
+      this.me = NOBODY;
+      this.show();
       element("sign-in-fault").textContent = "The token is not valid any more. Sign in again.";
-      this.refresh().catch(() => this.onChange());
     }
     this.panel.open();
+    if (this.isAsking) return;
+    this.isAsking = true;
+    try {
+      await this.refresh();
+    } catch (problem) {
+      if (problem.status === 401) this.me = NOBODY;
+      this.show();
+      if (hadToken) this.onChange();
+    } finally {
+      this.isAsking = false;
+    }
   }
 
   show() {

@@ -21,7 +21,7 @@ export class Alerts {
     this.groups = new Map();
     this.now = make("ul", { className: "alert-list", "aria-label": "Alerts that hold" });
     this.over = make("ul", { className: "alert-list over", "aria-label": "Alerts that are over" });
-    this.none = make("p", { className: "empty" }, "Nothing is wrong.");
+    this.none = make("p", { className: "empty" }, "No alert is in force.");
     this.past = make("details", {}, make("summary", {}, "Over"), this.over);
     panel.append(make("div", { className: "scroll" }, this.none, this.now, this.past));
   }

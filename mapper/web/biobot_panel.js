@@ -104,7 +104,7 @@ export class BiobotPanel {
       ["through", `gateway ${biobot.gateway}${radio ? `, ${radio.replace(/^.*\//, "")}` : ""}${biobot.rssi_dbm === null ? "" : `, ${words}`}`],
       ["battery", biobot.battery_mv === null ? "not told" : `${(biobot.battery_mv / 1000).toFixed(2)} V`],
       ["met", `${count(biobot.n_encounters)} encounters${biobot.n_neighbours === null ? "" : `, ${count(biobot.n_neighbours)} near it now`}`],
-      ...(buffered ? [["keeps", `${count(buffered)} reports that no gateway has yet`]] : []),
+      ...(buffered ? [["keeps", `${count(buffered)} ${buffered === 1 ? "report" : "reports"} that no gateway has yet`]] : []),
       ...(dropped ? [["dropped", `${count(dropped)} reports: its memory was full`]] : []),
     ]);
   }

@@ -94,6 +94,8 @@ function every(ms, task) {
 
 live.follow(["map", "biobots", "commands"], refreshBiobots);
 live.follow(["mission"], refreshMission);
+// Whoever looks may be somebody else to a mapper that was away.
+live.onState(() => live.isUp && account.refresh().catch(() => {}));
 live.follow(["map", "records"], async () => {
   const hadMap = stateLine.hasMap;
   stateLine.showMap(await net.getJson("/api/v1/map/status"));

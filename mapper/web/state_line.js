@@ -90,7 +90,7 @@ export class StateLine {
     const [state, words] = isNobody() ? ["wait", "not signed in"]
       : !this.live.isUp ? ["bad", this.shownAt ? "mapper does not answer" : "connecting"]
       : away.length ? ["bad", `gateway ${away.join(", ")} is away`]
-      : silent.length ? ["bad", `radio ${silent.join(", ")}`]
+      : silent.length ? ["bad", silent.join(", ").replace(/^(?!radio)/, "radio ")]
       : alive.length ? ["good", `live, ${alive.length === 1 ? `gateway ${alive[0].name}` : `${alive.length} gateways`}`]
         : ["wait", "no gateway yet"];
     element("link").title = words;

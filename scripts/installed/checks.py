@@ -15,7 +15,7 @@ _LINK = "tcp:127.0.0.1:7600"
 _MAX_EXPOSURE = 3.0
 _INSTALL_S = 600
 _MAY_DIFFER = re.compile(
-    r"^/(var/log|var/lib/systemd|var/cache/ldconfig|etc/(passwd|group|shadow|gshadow|subuid|subgid)-|root/\.|home/checkout)"
+    r"^/(var/log|var/lib/systemd|var/tmp/systemd-private-|var/cache/ldconfig|etc/(passwd|group|shadow|gshadow|subuid|subgid)-|root/\.|home/checkout)"
 )
 """Logs and marks of systemd itself, and the copies that useradd and userdel make of what they change."""
 

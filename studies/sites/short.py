@@ -23,7 +23,8 @@ from studies.sites.wires import HALL, Cable, Wires
 
 _GATEWAY: Final = "gateway1"
 _PERIOD_S: Final = 0.01
-_LIMIT_S: Final = 60.0
+_LIMIT_S: Final = 200.0
+_ATTEMPTS: Final = 20
 _MORE: Final = 50
 """Records that are published while something is out of order."""
 
@@ -72,7 +73,8 @@ class _Short:
         self._ends["m"].start()
         await self._wait(lambda: self._level() > 0, what="the first record is in the store")
         door = f"tls/{self._wires.address('r1', cable=_DOOR)}:7447"
-        plan = StrangersPlan(endpoint=door, site=SITE, gateway=_GATEWAY, seconds=0.0, tables={**self._strangers, "not on the roster": late})
+        tables = {**self._strangers, "not on the roster": late}
+        plan = StrangersPlan(endpoint=door, site=SITE, gateway=_GATEWAY, seconds=0.0, tables=tables, attempts=_ATTEMPTS)
         prefix, file = self._wires.prefix(HALL), self._out / "strangers.json"
         attempts = asyncio.create_task(asyncio.to_thread(try_strangers, plan, prefix=prefix, file=file))
         self._wires.swallow(_BETWEEN)

@@ -169,6 +169,12 @@ def test_a_token_that_is_revoked_meanwhile_is_asked_for_again(site: Site) -> Non
         expect(page.locator("#sign-in-fault")).to_have_text("The token is not valid any more. Sign in again.")
         expect(page.locator("#account-open")).to_have_text("Sign in")
         expect(page.get_by_role("button", name="Stop biobot 1", exact=True)).to_be_disabled()
+        # This mapper shows what there is to whoever is on its machine, also after a stop that was refused.
+        page.keyboard.press("Control+Shift+X")
+        expect(page.get_by_role("alert")).to_contain_text("NOT stopped")
+        expect(page.locator("#account-words")).to_have_text("You may look. Commands need a token with the role operator.")
+        expect(page.locator("#link")).to_contain_text("live")
+        assert page.evaluate("document.body.dataset.role") == "viewer"
         page.get_by_label("Token", exact=True).fill(site.token(Role.OPERATOR))
         page.keyboard.press("Enter")
         expect(page.locator("#account-open")).to_have_text("anna · operator")

@@ -146,6 +146,27 @@ def test_a_stop_leaves_after_the_starts_that_were_given_before_it() -> None:
     run_story(story)
 
 
+def test_a_stop_that_one_gateway_may_have_given_is_not_told_as_undelivered_because_another_is_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(commands, "_ASKED_FOR_S", 1.0)
+
+    async def story() -> None:
+        ports = [free_port(), free_port()]
+        with FakeGateway(port=ports[1], name="gateway2") as other:
+            async with mapper_side(ports[0], more_ports=ports[1:]) as side, client_of(side) as client:
+                with FakeGateway(port=ports[0]) as gateway:
+                    await until(lambda: gateway.is_heard and other.is_heard)
+                    await meet(side, gateway, 5)
+                await until(lambda: not side.fleet.is_on_bus("gateway1") and side.fleet.is_on_bus("gateway2"))
+                other.answer = lambda _request: (Stage.ACCEPTED, Stage.UNKNOWN)
+                body = {"biobot": 5, "action": "stop", "id": "five"}
+                answer = await client.post("/api/v1/commands", json=body)
+                assert (answer.status_code, answer.json()["outcome"]) == (HTTPStatus.OK, "unknown")
+                told = {one["gateway"]: one["outcome"] for one in answer.json()["answers"]}
+                assert told == {"gateway1": "undelivered", "gateway2": "unknown"}
+
+    asyncio.run(story())
+
+
 def test_a_biobot_whose_gateway_is_away_is_stopped_by_another() -> None:
     async def story() -> None:
         ports = [free_port(), free_port()]

@@ -100,7 +100,7 @@ def test_two_routers_heal_and_strangers_get_nothing(tmp_path: Path) -> None:
     """Real routers, TLS and access control in namespaces: a cable swallows, a router is killed, and the store has all in the end."""
     out = tmp_path / "out"
     command = [sys.executable, "-m", "studies.sites", "--short", "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     if "skipped" in done.stderr:
         pytest.skip(done.stderr.strip())
