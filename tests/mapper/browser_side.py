@@ -71,6 +71,14 @@ def until(is_met: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
+def until_true(page: Page, expression: str) -> None:
+    """Wait until an expression is true in a page.
+
+    Playwright's own ``wait_for_function`` evaluates it in the page from its second look on, which a page's rule that no text is run refuses.
+    """
+    until(lambda: bool(page.evaluate(expression)))
+
+
 def picture(page: Page, name: str, *, is_whole: bool = True) -> None:
     """Keep a picture of the whole page, or of what is in sight of it."""
     ARTIFACTS.mkdir(exist_ok=True)

@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 from firmware_protocol.contract.records import EncounterRecord
 from studies.chromium import CHROMIUM, launched
 from studies.ports import free_port
-from tests.mapper.browser_side import DESK, PHONE, accessibility_faults, fits_its_width, opened, picture, tab_to, until
+from tests.mapper.browser_side import DESK, PHONE, accessibility_faults, fits_its_width, opened, picture, tab_to, until, until_true
 from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.serving import serving, token_of
 from tests.mapper.two_holes import two_holes
@@ -106,7 +106,7 @@ def test_whatever_is_pointed_at_is_marked_everywhere(page: Page) -> None:
     plain = page.evaluate(COUNT_PIXELS, "--hole")
     dots.nth(1).hover()
     expect(page.locator("#holes-list tr.chosen")).to_have_count(1)
-    page.wait_for_function(f"(least) => ({COUNT_PIXELS})('--hole') > least", arg=plain + 100)
+    until_true(page, f"({COUNT_PIXELS})('--hole') > {plain + 100}")
     page.get_by_role("button", name="Barcode").click()
     expect(page.locator("#diagram rect[data-hole]")).to_have_count(2)
     page.locator("#diagram rect[data-hole='0']").hover()
@@ -172,12 +172,12 @@ def test_three_pins_lay_the_map_into_the_operators_frame_and_ways_are_found_betw
         expect(page.locator("#places-outcome")).to_have_text(f"{name} is on the map.")
     expect(page.locator("#pins-frame")).to_contain_text("in your frame")
     expect(page.locator("#orientation")).to_contain_text("in your frame")
-    page.wait_for_function(f"({COUNT_PIXELS})('--pin') > 300")
+    until_true(page, f"({COUNT_PIXELS})('--pin') > 300")
     page.locator("#route-from").select_option("pin:door")
     page.locator("#route-to").select_option("pin:stairs")
     page.get_by_role("button", name="Show ways").click()
     expect(page.locator("#routes li").first).to_contain_text("A ")
-    page.wait_for_function(f"({COUNT_PIXELS})('--route') > 200")
+    until_true(page, f"({COUNT_PIXELS})('--route') > 200")
     picture(page, "charts-places")
     page.get_by_role("button", name="Clear").click()
     expect(page.locator("#routes li")).to_have_count(0)
@@ -245,9 +245,7 @@ def test_it_is_readable_at_every_size_and_theme_and_nobody_is_left_out(page: Pag
     ):
         page.set_viewport_size({"width": width, "height": height})
         page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
-        page.wait_for_function(
-            f"(theme) => document.documentElement.dataset.theme === theme && ({COUNT_PIXELS})('--hole') > 300", arg=scheme
-        )
+        until_true(page, f"document.documentElement.dataset.theme === '{scheme}' && ({COUNT_PIXELS})('--hole') > 300")
         assert fits_its_width(page)
         picture(page, f"charts-{name}")
         if name in {"phone-dark", "desk-light"}:

@@ -14,7 +14,7 @@ from firmware_protocol.contract.records import Cause, EncounterRecord, Mode
 from firmware_protocol.units import EVERYBODY, Nanoseconds, NodeId
 from studies.chromium import CHROMIUM, launched
 from studies.ports import free_port
-from tests.mapper.browser_side import PHONE, WAIT_MS, fits_its_width, opened, picture, until
+from tests.mapper.browser_side import PHONE, WAIT_MS, fits_its_width, opened, picture, until, until_true
 from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.ring import ring_records
 from tests.mapper.serving import serving, token_of
@@ -78,9 +78,9 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         expect(page.locator("#components")).to_have_text("1")
         expect(page.locator("#holes")).to_have_text("1")
         expect(page.get_by_text("Waiting for encounters")).to_be_hidden()
-        page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 300")
+        until_true(page, f"({COUNT_HOLE_PIXELS})() > 300")
         page.get_by_role("checkbox", name="holes").uncheck()
-        page.wait_for_function(f"({COUNT_HOLE_PIXELS})() < 50")
+        until_true(page, f"({COUNT_HOLE_PIXELS})() < 50")
         page.get_by_role("checkbox", name="holes").check()
         assert "holes 1" in (page.locator("#map-canvas").get_attribute("aria-label") or "")
         expect(page.locator("#diagram circle[data-hole]")).to_have_count(1)
@@ -100,15 +100,15 @@ def test_an_operator_sees_the_map_and_stops_a_biobot(browser: Browser, tmp_path:
         expect(page.locator("#rows tr:visible")).to_have_count(4)
         page.get_by_label("Find biobots", exact=True).fill("")
         assert fits_its_width(page)
-        page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 300")
+        until_true(page, f"({COUNT_HOLE_PIXELS})() > 300")
         picture(page, "page-light")
         with opened(browser, url, token=token_of(tmp_path), scheme="dark") as dark:
             expect(dark.page.locator("#holes")).to_have_text("1")
-            dark.page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 300")
+            until_true(dark.page, f"({COUNT_HOLE_PIXELS})() > 300")
             picture(dark.page, "page-dark")
         with opened(browser, url, token=token_of(tmp_path), size=PHONE) as phone:
             expect(phone.page.locator("#holes")).to_have_text("1")
-            phone.page.wait_for_function(f"({COUNT_HOLE_PIXELS})() > 100")
+            until_true(phone.page, f"({COUNT_HOLE_PIXELS})() > 100")
             assert fits_its_width(phone.page)
             picture(phone.page, "page-phone")
 
