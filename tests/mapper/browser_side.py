@@ -74,7 +74,7 @@ def until(is_met: Callable[[], bool]) -> None:
 def until_true(page: Page, expression: str) -> None:
     """Wait until an expression is true in a page.
 
-    Playwright's own ``wait_for_function`` evaluates it in the page from its second look on, which a page's rule that no text is run refuses.
+    Playwright's own ``wait_for_function`` evaluates it in the page from its second look on, which the page's content policy refuses.
     """
     until(lambda: bool(page.evaluate(expression)))
 
