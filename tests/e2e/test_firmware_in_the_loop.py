@@ -168,7 +168,7 @@ def test_thousands_of_encounters_are_journaled_once_through_damage_noise_a_reset
 
             board.reset()
             gateway.wait_until(lambda: bool(gateway.events("radio.restarted") or gateway.events("radio.down")), what="the reset is noticed")
-            # A slow machine may have journaled nearly all before the reset: each meeting is an encounter and its revision, and no more comes.
+            # A slow machine may have journaled nearly all before the reset: each meeting is an encounter and a revision, no more.
             wanted = min(gateway.n_entries() + 500, 2 * len(meetings))
             gateway.wait_until(lambda: gateway.n_entries() >= wanted, what="encounters after the reset")
             counters = gateway.status()["counters"]
