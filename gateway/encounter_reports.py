@@ -12,7 +12,7 @@ from firmware_protocol.contract.records import EncounterRecord
 from firmware_protocol.errors import RecordError
 from firmware_protocol.message_codec import EncounterFields
 from firmware_protocol.messages import BROADCAST_NODE
-from firmware_protocol.units import NS_PER_MS, NS_PER_S, NodeId
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, NodeId
 from gateway.clocks import NodeClock
 from gateway.config import EncounterTable
 from gateway.encounters import EncounterMerger, SideReport, margin_of
@@ -67,7 +67,9 @@ class EncounterReports:
         self._is_forgetting = False
         self._merger = EncounterMerger(issuer=issuer)
 
-    def take(self, entries: Sequence[EncounterFields], *, node: Node, sent_ms: int, clock: NodeClock) -> list[EncounterRecord]:
+    def take(
+        self, entries: Sequence[EncounterFields], *, node: Node, boot: BootId, sent_ms: int, clock: NodeClock
+    ) -> list[EncounterRecord]:
         """Return the records that the entries of a biobot's message bring about. ``clock`` is that of the message's boot."""
         if self._is_fresh:
             self._bring_back()
@@ -82,7 +84,9 @@ class EncounterReports:
         merge, find, n_bridged = self._merger.merge, self._nodes.find, self._n_bridged
         own_period_ms, next_horizon_ns = node.beacon_period_ms, self._next_horizon_ns
         spans = clock.read_spans([(start_ms, start_ms + duration_ms) for _, start_ms, duration_ms, *_ in taken])
-        for (peer, _, _, rssi_dbm, is_ongoing, path_mm), (t_start_ns, t_end_ns, error_ns) in zip(taken, spans, strict=True):
+        for (peer, start_ms, duration_ms, rssi_dbm, is_ongoing, path_mm), (t_start_ns, t_end_ns, error_ns) in zip(
+            taken, spans, strict=True
+        ):
             other = find(peer)
             period_ms = own_period_ms if other is None or other.beacon_period_ms < own_period_ms else other.beacon_period_ms
             margin_ns = margin_of(beacon_period_ms=period_ms, error_ns=error_ns, n_bridged=n_bridged(node, other) if period_ms else 0)
@@ -97,6 +101,7 @@ class EncounterReports:
                 margin_ns=margin_ns,
                 period_ns=period_ms * NS_PER_MS,
                 path_mm=path_mm,
+                own_clock=(boot, Milliseconds(start_ms), Milliseconds(start_ms + duration_ms)),
             )
             if t_start_ns - margin_ns <= next_horizon_ns:
                 self._late_pairs.add((name, peer) if name < peer else (peer, name))

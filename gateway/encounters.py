@@ -5,6 +5,9 @@ encounters of a pair are the connected pieces of all covers: the result does not
 margin is half of 1.15 beacon periods (the gap that a lost beacon leaves, doubled by the other report's margin), more where many beacons are
 lost, or, where sensing is continuous, the error of the clock (at most 1 s; 0.1 s where no
 time sync has bounded it).
+
+A biobot may tell of an encounter provisionally while its clock is hardly known, and of its end when it is: no margin may connect the two
+dates. What it says on its own clock does: such reports are dated alike, as the better-known clock has it, before they are put together.
 """
 
 from bisect import bisect_right
@@ -17,7 +20,7 @@ from firmware_protocol.contract.records import EncounterRecord
 from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId
 from gateway.clocks import ROUGH_ERROR_NS
 from gateway.issuer import RecordIssuer
-from gateway.meetings import Meeting, SideReport, meeting_of, meeting_of_record, part
+from gateway.meetings import Meeting, SideReport, date_alike, has_told, meeting_of, meeting_of_record, part
 from gateway.unheard import BeaconLoss
 
 __all__ = ["MAX_ERROR_MARGIN_NS", "EncounterMerger", "SideReport", "margin_of"]
@@ -66,6 +69,8 @@ class EncounterMerger:
     """Of each pair, in the order of their covers, which do not overlap."""
     _order: deque[tuple[_Pair, Meeting]] = field(default_factory=deque)
     """All of them in the order in which they were told of, and those that became a part of another one since."""
+    _provisional: set[_Pair] = field(default_factory=set)
+    """Pairs of which something was told that is told again when it has ended: of others no encounter is told twice."""
     _voided: set[tuple[BootId, int]] = field(default_factory=set)
     """Identities that became a part of another one, and whose last revision may not be on disk yet: no more than wait for the disk."""
     _voided_before: set[tuple[BootId, int]] = field(default_factory=set)
@@ -85,6 +90,11 @@ class EncounterMerger:
         if report.period_ns and not report.is_ongoing:
             self._learn(meetings[-1] if meetings else None, report)
         begin, end = _overlap(meetings, report.t_start_ns - report.margin_ns, report.t_end_ns + report.margin_ns)
+        if report.is_ongoing or pair in self._provisional:
+            self._provisional.add(pair)
+            elsewhere = [one for at, one in enumerate(meetings) if not begin <= at < end and has_told(one, report)]
+            if elsewhere:
+                return self._gather(pair, meetings, report, elsewhere)
         if begin == end:
             meeting = meeting_of(report, boot=self.issuer.boot, sequence=self.issuer.take_sequence())
             meetings.insert(begin, meeting)
@@ -136,6 +146,8 @@ class EncounterMerger:
                 part(meeting, meetings[at])
             meetings.insert(at, meeting)
             self._order.append((pair, meeting))
+            if record.is_ongoing:
+                self._provisional.add(pair)
 
     def settle_voided(self) -> None:
         """Say that all that was told of before the last time this was said is on disk: the journal now tells itself what is void."""
@@ -176,6 +188,7 @@ class EncounterMerger:
                     break
             if not meetings:
                 self._meetings.pop(pair, None)
+                self._provisional.discard(pair)
         return not n_left and bool(order) and order[0][1].cover_end_ns < t_ns
 
     def __len__(self) -> int:
@@ -186,6 +199,23 @@ class EncounterMerger:
         side = None if latest is None else latest.side_a if report.node < report.peer else latest.side_b
         gap_ns = 0 if side is None else report.t_start_ns - side.t_end_ns
         self.loss.observe(duration=(report.t_end_ns - report.t_start_ns) / report.period_ns, gap=gap_ns / report.period_ns)
+
+    def _gather(self, pair: _Pair, meetings: list[Meeting], report: SideReport, elsewhere: list[Meeting]) -> list[EncounterRecord]:
+        """Make one encounter of those that a report's biobot has told of at other times, and of those that the report connects now."""
+        for meeting in elsewhere:
+            report = date_alike(meeting, report)
+        cover_start_ns, cover_end_ns = report.t_start_ns - report.margin_ns, report.t_end_ns + report.margin_ns
+        apart = [one for one in meetings if all(one is not meeting for meeting in elsewhere)]
+        while True:
+            cover_start_ns = min(cover_start_ns, *(one.cover_start_ns for one in elsewhere))
+            cover_end_ns = max(cover_end_ns, *(one.cover_end_ns for one in elsewhere))
+            begin, end = _overlap(apart, cover_start_ns, cover_end_ns)
+            if begin == end:
+                break
+            elsewhere += apart[begin:end]
+            del apart[begin:end]
+        meetings[:] = [*apart[:begin], *elsewhere, *apart[begin:]]
+        return self._join(pair, meetings, report, begin, begin + len(elsewhere))
 
     def _join(self, pair: _Pair, meetings: list[Meeting], report: SideReport, begin: int, end: int) -> list[EncounterRecord]:
         """Make one encounter of several that a report connects."""

@@ -192,7 +192,7 @@ class Intake:
         made: _Made | Exception
         try:
             if uplink is None:
-                made = tuple(self._reports.take(entries or (), node=node, sent_ms=sent_ms, clock=clock)), None
+                made = tuple(self._reports.take(entries or (), node=node, boot=boot, sent_ms=sent_ms, clock=clock)), None
             else:
                 header = UplinkHeader(node=name, boot=boot, sequence=sequence, sent_ms=sent_ms)
                 made = self._digest(uplink, header=header, node=node, clock=clock, number=number)

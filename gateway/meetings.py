@@ -7,11 +7,11 @@ are sensed by beacons, the record's own interval is wider, for the two were near
 
 # ruff: noqa: PLR1730, FURB136  # calls of min and max would be a tenth of what an encounter costs
 
-from msgspec import Struct
-from msgspec.structs import force_setattr
+from msgspec import UNSET, Struct, UnsetType
+from msgspec.structs import force_setattr, replace
 
-from firmware_protocol.contract.records import EncounterRecord, EncounterSide
-from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
+from firmware_protocol.contract.records import EncounterRecord, EncounterSide, OwnSpan
+from firmware_protocol.units import NS_PER_MS, BootId, Nanoseconds, NodeId, RssiDbm
 from gateway.issuer import RecordIssuer
 from gateway.radio import strongest
 from gateway.unheard import Guesses
@@ -32,6 +32,8 @@ class SideReport(Struct, kw_only=True, gc=False):
         Between the other's beacons [ns]; 0: sensed continuously.
     path_mm
         Path since the start of the biobot's encounter before [mm].
+    own_clock
+        What it says, on its own clock.
     """
 
     node: NodeId
@@ -44,6 +46,7 @@ class SideReport(Struct, kw_only=True, gc=False):
     margin_ns: int
     period_ns: int = 0
     path_mm: int | None = None
+    own_clock: OwnSpan | UnsetType = UNSET
 
 
 class Meeting(Struct, kw_only=True, gc=False):
@@ -222,6 +225,7 @@ def meeting_of_record(record: EncounterRecord, *, issuer: RecordIssuer, margin_n
             rssi_dbm=side.rssi_dbm,
             path_mm=side.path_mm,
             error_ns=record.error_ns if side.error_ns is None else side.error_ns,
+            own_clock=side.own_clock,
         )
         for side in record.sides
     }
@@ -261,7 +265,42 @@ def side_of(report: SideReport) -> EncounterSide:
         rssi_dbm=report.rssi_dbm,
         path_mm=report.path_mm,
         error_ns=report.error_ns,
+        own_clock=report.own_clock,
     )
+
+
+def has_told(meeting: Meeting, report: SideReport) -> bool:
+    """Whether a report's biobot has told of the encounter what it tells now, or a part of it: by its own clock, whatever the instants."""
+    side, told = meeting.side_a if report.node < report.peer else meeting.side_b, report.own_clock
+    known = UNSET if side is None else side.own_clock
+    if isinstance(known, UnsetType) or isinstance(told, UnsetType):
+        return False
+    return known[0] == told[0] and known[1] <= told[2] and told[1] <= known[2]
+
+
+def date_alike(meeting: Meeting, report: SideReport) -> SideReport:
+    """Move what is dated worse, the encounter or the report of it that ``has_told`` found, to where the other has it; return the report.
+
+    What the other biobot has told of the encounter is dated by another clock: then both stay.
+    """
+    is_a = report.node < report.peer
+    side, peers = (meeting.side_a, meeting.side_b) if is_a else (meeting.side_b, meeting.side_a)
+    if peers is not None or side is None or isinstance(side.own_clock, UnsetType) or isinstance(report.own_clock, UnsetType):
+        return report
+    later_ns = (report.own_clock[1] - side.own_clock[1]) * NS_PER_MS - (report.t_start_ns - side.t_start_ns)
+    error_ns = side.error_ns or Nanoseconds(0)
+    if error_ns < report.error_ns:
+        start_ns, end_ns = report.t_start_ns + later_ns, report.t_end_ns + later_ns
+        return replace(report, t_start_ns=Nanoseconds(start_ns), t_end_ns=Nanoseconds(end_ns), error_ns=error_ns)
+    start_ns, end_ns = side.t_start_ns - later_ns, side.t_end_ns - later_ns
+    moved = replace(side, t_start_ns=Nanoseconds(start_ns), t_end_ns=Nanoseconds(end_ns), error_ns=report.error_ns)
+    meeting.cover_start_ns -= later_ns
+    meeting.cover_end_ns -= later_ns
+    if is_a:
+        meeting.side_a, meeting.final_end_a_ns = moved, meeting.final_end_a_ns - later_ns
+    else:
+        meeting.side_b, meeting.final_end_b_ns = moved, meeting.final_end_b_ns - later_ns
+    return report
 
 
 def _is_final(side: EncounterSide | None, final_end_ns: int) -> bool:
@@ -281,7 +320,19 @@ def _join(one: EncounterSide, other: EncounterSide) -> EncounterSide:
         rssi_dbm=strongest(one.rssi_dbm, other.rssi_dbm),
         path_mm=first.path_mm,
         error_ns=max(one.error_ns or Nanoseconds(0), other.error_ns or Nanoseconds(0)),
+        own_clock=_join_own(one.own_clock, other.own_clock),
     )
+
+
+def _join_own(one: OwnSpan | UnsetType, other: OwnSpan | UnsetType) -> OwnSpan | UnsetType:
+    """Return all of two spans of one start; of two starts the later one's, for what a backpack kept of an earlier one is told no more."""
+    if isinstance(one, UnsetType):
+        return other
+    if isinstance(other, UnsetType) or one[0] > other[0]:
+        return one
+    if one[0] < other[0]:
+        return other
+    return (one[0], min(one[1], other[1]), max(one[2], other[2]))
 
 
 def _path_order(side: EncounterSide) -> tuple[int, bool, int]:

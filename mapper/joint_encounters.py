@@ -1,84 +1,53 @@
 """Records of several gateways that tell of one encounter become one, for map and counts. Pure.
 
 The rule is the gateway's own (`gateway.encounters`): each record covers its interval and a margin at both ends, and records of a pair
-whose covers overlap, directly or over others, tell of one encounter. It needs records of two gateways at least: what one gateway has
-kept apart stays apart. The answer depends only on the records and the shifts of their clocks, never on the order.
+whose covers overlap tell of one encounter. So do records whose biobot, of either side, has told of the same ticks of its own clock
+(`mapper.own_spans`): a report that was told to two gateways is one, however wrong one of them dates it. Encounters are what is connected,
+directly or over others. It needs records of two gateways at least: what one gateway has kept apart stays apart. The answer depends only
+on the records and the shifts of their clocks, never on the order.
 
 Each record bounds the true begin: by its error on either side of its own. Where beacons are sensed, one side's record is widened by what
 was not heard; the union of two such records would be widened twice. So the earliest begin and those whose bounds it can agree with are
-taken together: the middle of what all of them allow, which is what one gateway with both sides would say. The end likewise.
+taken together: the middle of what all of them allow, which is what one gateway with both sides would say. The end likewise. Before that,
+records that are dated badly are put where the same ticks are by a clock that is known better (`mapper.dating`).
 """
 
-from array import array
-from bisect import bisect_left
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
+from mapper.dating import SAME_LIFE_NS, DatedRecord, agree
+from mapper.own_spans import N_NUMBERS
+from mapper.pair_spans import PairSpans, find_pieces
 from mapper.record_columns import EncounterRows
 from mapper.types import BoolArray, IntArray
 
 _FIRST_CAPACITY = 1024
-_BEGIN, _END, _LOW, _HIGH, _COUNTS, _MARGIN, _GATEWAY, _ERROR = range(8)
+_BEGIN, _END, _LOW, _HIGH, _COUNTS, _MARGIN, _GATEWAY, _ERROR, _OWN = range(9)
+_N_COLUMNS = _OWN + N_NUMBERS
+_ON_SITES_CLOCK = 2
+"""Axis of the covers, beside those of the two biobots' own clocks: 0 of the lower id, 1 of the other."""
 
-_Pair = tuple[int, int]
+_Key = tuple[int, int, int]
+"""Two ids and an axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ToldRows:
-    """Records on the site's clock and what joins them: margin and error [ns] and number of the gateway, each of shape (m,)."""
+    """Records on the site's clock and what joins them: margin and error [ns] and number of the gateway, each of shape (m,).
+
+    ``own``, shape (8, m): see `mapper.own_spans`; the instants in it are on the site's clock.
+    """
 
     rows: EncounterRows
     margin_ns: IntArray
     error_ns: IntArray
     gateway: IntArray
-
-
-@dataclass(slots=True)
-class _Meetings:
-    """Covers of one pair by begin, then row; columns side by side. ``longest`` is no shorter than any."""
-
-    begins: "array[int]" = field(default_factory=lambda: array("q"))
-    ends: "array[int]" = field(default_factory=lambda: array("q"))
-    rows: "array[int]" = field(default_factory=lambda: array("q"))
-    longest: int = 0
-
-    def place(self, begin: int, row: int) -> int:
-        """Return where a cover is, or would be."""
-        at = bisect_left(self.begins, begin)
-        while at < len(self.begins) and self.begins[at] == begin and self.rows[at] < row:
-            at += 1
-        return at
-
-    def insert(self, begin: int, end: int, row: int) -> None:
-        at = self.place(begin, row)
-        self.begins.insert(at, begin)
-        self.ends.insert(at, end)
-        self.rows.insert(at, row)
-        self.longest = max(self.longest, end - begin)
-
-    def remove(self, begin: int, row: int) -> None:
-        at = self.place(begin, row)
-        del self.begins[at], self.ends[at], self.rows[at]
-
-    def piece(self, at: int) -> tuple[int, int]:
-        """Return first and last place of the connected piece of covers that the cover at ``at`` is in."""
-        first = last = at
-        reach = self.ends[at]
-        while True:
-            before = first, last
-            while last + 1 < len(self.begins) and self.begins[last + 1] <= reach:
-                last += 1
-                reach = max(reach, self.ends[last])
-            look = first - 1
-            while look >= 0 and self.begins[look] >= self.begins[first] - self.longest:
-                if self.ends[look] >= self.begins[first]:
-                    first = look
-                    reach = max(reach, self.ends[look])
-                look -= 1
-            if (first, last) == before:
-                return first, last
+    own: IntArray
 
 
 class JointEncounters:
@@ -89,9 +58,10 @@ class JointEncounters:
     """
 
     def __init__(self) -> None:
-        # Rows: begin and end [ns, site's clock], lower and higher id, whether it counts, margin [ns], number of the gateway, error.
-        self._look_at(np.zeros((8, _FIRST_CAPACITY), dtype=np.int64))
-        self._meetings: dict[_Pair, _Meetings] = {}
+        # Rows: begin and end [ns, site's clock], lower and higher id, whether it counts, margin [ns], number of the gateway, error, and
+        # what both biobots told on their own clocks.
+        self._columns: IntArray = np.zeros((_N_COLUMNS, _FIRST_CAPACITY), dtype=np.int64)
+        self._spans: dict[_Key, PairSpans] = {}
         self._members: dict[int, tuple[int, ...]] = {}
         self._stands: dict[int, int] = {}
         self._intervals: dict[int, tuple[int, int]] = {}
@@ -103,8 +73,8 @@ class JointEncounters:
     def rebuild(self, told: ToldRows, *, names: Mapping[int, str]) -> EncounterRows:
         """Begin anew with all rows, and return what they amount to."""
         rows = told.rows
-        self._meetings, self._members, self._stands, self._intervals = {}, {}, {}, {}
-        self._look_at(np.zeros((8, max(_FIRST_CAPACITY, 1 + int(rows.row.max(initial=0)))), dtype=np.int64))
+        self._spans, self._members, self._stands, self._intervals = {}, {}, {}, {}
+        self._columns = np.zeros((_N_COLUMNS, max(_FIRST_CAPACITY, 1 + int(rows.row.max(initial=0)))), dtype=np.int64)
         self._put(told)
         if rows.counts.any():
             self._index(rows.row[rows.counts], names)
@@ -115,26 +85,26 @@ class JointEncounters:
         rows = told.rows
         touched = set(rows.row.tolist())
         known = rows.row[rows.row < self._columns.shape[1]]
-        for row, pair, begin, _ in self._covers(known[self._columns[_COUNTS, known] == 1]):
-            self._meetings[pair].remove(begin, row)
+        for row in known[self._columns[_COUNTS, known] == 1].tolist():
+            for key, begin, _ in self._spans_of(row):
+                self._spans[key].remove(begin, row)
             self._part(row, touched)
         self._put(told)
-        for row, pair, begin, end in self._covers(rows.row[rows.counts]):
-            self._meetings.setdefault(pair, _Meetings()).insert(begin, end, row)
+        for row in rows.row[rows.counts].tolist():
+            for key, begin, end in self._spans_of(row):
+                self._spans.setdefault(key, PairSpans()).insert(begin, end, row)
         waiting = np.fromiter(touched, dtype=np.int64, count=len(touched))
         done: set[int] = set()
-        for row, pair, begin, _ in self._covers(waiting[self._columns[_COUNTS, waiting] == 1]):
+        for row in waiting[self._columns[_COUNTS, waiting] == 1].tolist():
             if row in done:
                 continue
-            meetings = self._meetings[pair]
-            first, last = meetings.piece(meetings.place(begin, row))
-            if first == last:
+            piece = self._piece(row)
+            if len(piece) == 1:
                 continue
-            piece = meetings.rows[first : last + 1].tolist()
             for one in piece:
                 self._part(one, done)
             done.update(piece)
-            if len({self._gateway_at[one] for one in piece}) > 1:
+            if len(set(self._columns[_GATEWAY, piece].tolist())) > 1:
                 self._join(piece, names)
         touched |= done
         return self._amount(np.fromiter(touched, dtype=np.int64, count=len(touched)))
@@ -155,36 +125,53 @@ class JointEncounters:
                 del self._stands[one]
 
     def _join(self, rows: list[int], names: Mapping[int, str]) -> None:
-        begin, gateway = self._begin_at, self._gateway_at
-        members = tuple(sorted(rows, key=lambda row: (begin[row], names[gateway[row]], row)))
+        columns = self._columns[:, rows].T.tolist()
+        order = sorted(zip(columns, rows, strict=True), key=lambda one: (one[0][_BEGIN], names[one[0][_GATEWAY]], one[1]))
+        members = tuple(row for _, row in order)
         self._members[members[0]] = members
         for one in members:
             self._stands[one] = members[0]
-        end, error = self._end_at, self._error_at
-        begins = _agreed((begin[one], error[one]) for one in members)
-        self._intervals[members[0]] = begins, max(begins, -_agreed((-end[one], error[one]) for one in members))
+        self._intervals[members[0]] = agree(
+            [
+                DatedRecord(begin=one[_BEGIN], end=one[_END], error=one[_ERROR], gateway=names[one[_GATEWAY]], own=tuple(one[_OWN:]))
+                for one, _ in order
+            ]
+        )
 
-    def _covers(self, rows: IntArray) -> Iterable[tuple[int, _Pair, int, int]]:
-        """Return row, pair, begin and end of cover of rows."""
-        begin, end, low, high, _, margin, _, _ = self._columns[:, rows]
-        pairs = zip(low.tolist(), high.tolist(), strict=True)
-        return list(zip(rows.tolist(), pairs, (begin - margin).tolist(), (end + margin).tolist(), strict=True))
+    def _piece(self, row: int) -> list[int]:
+        """Return all rows that are connected with a row, and itself."""
+        found, known = [row], {row}
+        for one in found:
+            for key, begin, end in self._spans_of(one):
+                spans, (*_, axis) = self._spans[key], key
+                near = spans.overlapping(begin, end)
+                if axis != _ON_SITES_CLOCK and len(near) > 1:
+                    zero = self._columns[_OWN + 4 * axis + 2, near]
+                    near = np.array(near)[np.abs(zero - self._columns[_OWN + 4 * axis + 2, one]) <= SAME_LIFE_NS].tolist()
+                fresh = [other for other in near if other not in known]
+                found += fresh
+                known.update(fresh)
+        return found
+
+    def _spans_of(self, row: int) -> list[tuple[_Key, int, int]]:
+        """Return where a row is to be found: on the site's clock, and on each own clock that was told."""
+        begin, end, low, high, _, margin, _, _, first, last, _, _, first_b, last_b, _, _ = self._columns[:, row].tolist()
+        spans = [((low, high, _ON_SITES_CLOCK), begin - margin, end + margin)]
+        if first >= 0:
+            spans.append(((low, high, 0), first, last))
+        if first_b >= 0:
+            spans.append(((low, high, 1), first_b, last_b))
+        return spans
 
     def _put(self, told: ToldRows) -> None:
         rows = told.rows
         n = 1 + int(rows.row.max(initial=0))
         if n > self._columns.shape[1]:
-            self._look_at(np.pad(self._columns, ((0, 0), (0, max(n, 2 * self._columns.shape[1]) - self._columns.shape[1]))))
+            self._columns = np.pad(self._columns, ((0, 0), (0, max(n, 2 * self._columns.shape[1]) - self._columns.shape[1])))
         low, high = np.minimum(rows.id1, rows.id2), np.maximum(rows.id1, rows.id2)
-        others = (told.margin_ns, told.gateway, told.error_ns)
+        others = (told.margin_ns, told.gateway, told.error_ns, *told.own)
         for column, values in enumerate((rows.t_start_ns, rows.t_end_ns, low, high, rows.counts, *others)):
             self._columns[column, rows.row] = values
-
-    def _look_at(self, columns: IntArray) -> None:
-        """Take columns, and views of them that give single numbers fast."""
-        self._columns = columns
-        views = (memoryview(columns[column]) for column in (_BEGIN, _END, _GATEWAY, _ERROR))
-        self._begin_at, self._end_at, self._gateway_at, self._error_at = views
 
     def _amount(self, row: IntArray) -> EncounterRows:
         """Return what rows stand for."""
@@ -199,42 +186,44 @@ class JointEncounters:
         return EncounterRows(row=row, t_start_ns=begin, t_end_ns=end, id1=id1, id2=id2, counts=counts)
 
     def _index(self, rows: IntArray, names: Mapping[int, str]) -> None:
-        """Sort rows, at least one, by pair and begin of cover, and join the connected pieces."""
-        begin, end, low, high, _, margin, gateway, _ = self._columns[:, rows]
-        order = np.lexsort((rows, begin - margin, high, low))
-        rows, begin, end, low, high, gateway = (column[order] for column in (rows, begin - margin, end + margin, low, high, gateway))
-        is_new_pair = np.ones(len(rows), dtype=np.bool_)
-        is_new_pair[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
-        is_new_piece = is_new_pair.copy()
-        is_new_piece[1:] |= begin[1:] > _running_maximum(end, is_new_pair)[:-1]
-        firsts = np.flatnonzero(is_new_piece)
+        """Put rows, at least one, into the spans of their pairs, and join what is connected."""
+        begin, end, _, _, _, margin, gateway, _ = self._columns[:_OWN, rows]
+        places = np.arange(len(rows))
+        joined = [self._index_axis(_ON_SITES_CLOCK, rows, places, begins=begin - margin, ends=end + margin)]
+        for axis in (0, 1):
+            first, last, _, _ = self._columns[_OWN + 4 * axis : _OWN + 4 * axis + 4, rows]
+            is_told = first >= 0
+            joined.append(self._index_axis(axis, rows[is_told], places[is_told], begins=first[is_told], ends=last[is_told]))
+        one, other = np.concatenate(joined, axis=1)
+        if not len(one):
+            return
+        graph = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(len(rows), len(rows)))
+        _, label = connected_components(graph, directed=False)
+        order = np.argsort(label, kind="stable")
+        firsts = np.flatnonzero(np.diff(label[order], prepend=-1))
         lasts = np.append(firsts[1:], len(rows))
-        is_shared = np.maximum.reduceat(gateway, firsts) != np.minimum.reduceat(gateway, firsts)
-        for first, last in zip(firsts[is_shared].tolist(), lasts[is_shared].tolist(), strict=True):
-            self._join(rows[first:last].tolist(), names)
-        firsts = np.flatnonzero(is_new_pair)
-        lasts = np.append(firsts[1:], len(rows))
-        longest = np.maximum.reduceat(end - begin, firsts)
-        for first, last, span in zip(firsts.tolist(), lasts.tolist(), longest.tolist(), strict=True):
-            begins, ends, places = (array("q", column[first:last].tobytes()) for column in (begin, end, rows))
-            self._meetings[int(low[first]), int(high[first])] = _Meetings(begins=begins, ends=ends, rows=places, longest=span)
+        is_shared = np.maximum.reduceat(gateway[order], firsts) != np.minimum.reduceat(gateway[order], firsts)
+        for start, stop in zip(firsts[is_shared].tolist(), lasts[is_shared].tolist(), strict=True):
+            self._join(rows[order[start:stop]].tolist(), names)
 
-
-def _agreed(told: Iterable[tuple[int, int]]) -> int:
-    """Return the middle of what the earliest instant, and those after it that can agree with it, allow; each is given with its error."""
-    (instant, error), *others = sorted(told)
-    earliest, latest = instant - error, instant + error
-    for instant, error in others:
-        if max(earliest, instant - error) <= min(latest, instant + error):
-            earliest, latest = max(earliest, instant - error), min(latest, instant + error)
-    return (earliest + latest) // 2
-
-
-def _running_maximum(values: IntArray, is_first: BoolArray) -> IntArray:
-    """Return the maximum so far of each run; ``is_first`` says where runs begin."""
-    # Runs lie above each other by more than any of them spans, so that one running maximum does for all.
-    run = np.cumsum(is_first)
-    ranked = np.argsort(np.argsort(values, kind="stable"), kind="stable")
-    highest = np.maximum.accumulate(ranked + run * len(values)) - run * len(values)
-    reached: IntArray = np.sort(values)[highest]
-    return reached
+    def _index_axis(self, axis: int, rows: IntArray, places: IntArray, *, begins: IntArray, ends: IntArray) -> IntArray:
+        """Put spans of one axis where they belong; return places of rows that it joins, shape (2, k), enough to connect all that are."""
+        low, high = self._columns[_LOW, rows], self._columns[_HIGH, rows]
+        order = np.lexsort((rows, begins, high, low))
+        rows, places, begins, ends = (column[order] for column in (rows, places, begins, ends))
+        pieces = find_pieces(low[order], high[order], begins=begins, ends=ends)
+        for pair, spans in pieces.spans(begins, ends, rows):
+            self._spans[(*pair, axis)] = spans
+        joined: list[IntArray] = []
+        if axis == _ON_SITES_CLOCK:
+            within = np.flatnonzero(~pieces.is_new_piece)
+            joined.append(np.array((places[within - 1], places[within])))
+        else:
+            zero = self._columns[_OWN + 4 * axis + 2, rows]
+            for apart in count(1):
+                is_near = pieces.number[apart:] == pieces.number[:-apart]
+                if not is_near.any():
+                    break
+                is_near &= (begins[apart:] <= ends[:-apart]) & (np.abs(zero[apart:] - zero[:-apart]) <= SAME_LIFE_NS)
+                joined.append(np.array((places[:-apart][is_near], places[apart:][is_near])))
+        return np.concatenate(joined, axis=1) if joined else np.zeros((2, 0), dtype=np.int64)

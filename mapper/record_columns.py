@@ -12,6 +12,7 @@ import numpy as np
 
 from firmware_protocol.contract.records import EncounterRecord, JournalRecord, MissionRecord
 from firmware_protocol.units import NodeId
+from mapper.own_spans import make_own_spans
 from mapper.types import BoolArray, IntArray
 
 _MIN_INTEGER, _MAX_INTEGER = -(2**63), 2**63 - 1
@@ -50,13 +51,14 @@ class EncounterOrigins:
     """Where encounters come from, and what joins them to others; arrays of shape (m,), beside an `EncounterRows`.
 
     ``source`` is the number of a start of a gateway; ``margin_ns`` and ``error_ns`` as in CONTRACT.md §3, the latter at most the longest
-    margin; ``is_final``: the encounter was not under way.
+    margin; ``is_final``: the encounter was not under way; ``own``, shape (8, m): see `mapper.own_spans`.
     """
 
     source: IntArray
     margin_ns: IntArray
     error_ns: IntArray
     is_final: BoolArray
+    own: IntArray
 
 
 def to_signed(node: int) -> NodeId:
@@ -133,6 +135,7 @@ def make_origins(records: Sequence[EncounterRecord], *, number_source: Callable[
         margin_ns=limit_margins(margin_ns=[record.margin_ns for record in records], error_ns=[record.error_ns for record in records]),
         error_ns=limit_errors([record.error_ns for record in records]),
         is_final=np.array([not record.is_ongoing for record in records], dtype=np.bool_),
+        own=make_own_spans(records),
     )
 
 

@@ -3,19 +3,23 @@
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import msgspec
 import msgspec.structs
 import numpy as np
 
+from firmware_protocol.contract.records import OwnSpan
 from firmware_protocol.errors import RecordError
 from mapper.log import EventLog
+from mapper.own_spans import make_own_spans
 from mapper.record_columns import EncounterOrigins, EncounterRows, is_fit_for_columns, limit_errors, limit_margins
 from mapper.types import IntArray
 
 _log = EventLog(__name__)
 
 _CHUNK = 20_000
+_RecordT = TypeVar("_RecordT")
 
 
 class _Lean(msgspec.Struct, frozen=True, gc=False, tag="encounter"):
@@ -32,7 +36,27 @@ class _Lean(msgspec.Struct, frozen=True, gc=False, tag="encounter"):
     is_ongoing: bool = False
 
 
+class _LeanSide(msgspec.Struct, frozen=True, gc=False):
+    """The fields of an `EncounterSide` that tell what was told twice."""
+
+    node: int
+    t_start_ns: int
+    error_ns: int | None = None
+    own_clock: OwnSpan | msgspec.UnsetType = msgspec.UNSET
+
+
+class _Sided(msgspec.Struct, frozen=True, gc=False, tag="encounter"):
+    """The fields of an `EncounterRecord` that several gateways' records are joined by, beside those of `_Lean`."""
+
+    wall_anchor_ns: int
+    node_a: int
+    node_b: int
+    error_ns: int = 0
+    sides: tuple[_LeanSide, ...] = ()
+
+
 _decoder = msgspec.msgpack.Decoder(list[_Lean])
+_sided_decoder = msgspec.msgpack.Decoder(list[_Sided])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,17 +67,20 @@ class LoadedEncounters:
     changes: IntArray
     _gateways: Sequence[str]
     _records: Sequence[_Lean]
+    _bodies: Sequence[bytes]
 
     def origins(self, *, number_source: Callable[[str, int], int]) -> EncounterOrigins:
         """Say where they come from; ``number_source`` gives the number of a gateway's start by its name and anchor [ns]."""
         starts = list(zip(self._gateways, [record.wall_anchor_ns for record in self._records], strict=True))
         numbers = {start: number_source(*start) for start in dict.fromkeys(starts)}
+        sided = _decode(self._bodies, _sided_decoder)
         margin_ns, error_ns = ([getattr(record, name) for record in self._records] for name in ("margin_ns", "error_ns"))
         return EncounterOrigins(
             source=np.array([numbers[start] for start in starts], dtype=np.int64),
             margin_ns=limit_margins(margin_ns=margin_ns, error_ns=error_ns),
             error_ns=limit_errors(error_ns),
             is_final=~np.array([record.is_ongoing for record in self._records], dtype=np.bool_),
+            own=make_own_spans(sided),
         )
 
 
@@ -75,14 +102,14 @@ def load_encounters(database: sqlite3.Connection, *, kind: int) -> Iterator[Load
     n_left_out = 0
     while chunk := cursor.fetchmany(_CHUNK):
         rows, changes, sources, bodies = (tuple(column) for column in zip(*chunk, strict=True))
-        records = _decode(bodies)
+        records = _decode(bodies, _decoder)
         try:
             encounters = _make_rows(rows, records)
         except OverflowError:
-            placed = [(*place, _on_wall_clock(record)) for *place, record in zip(rows, changes, sources, records, strict=True)]
-            fit = [(row, change, source, record) for row, change, source, record in placed if record is not None]
+            placed = [(*place, _on_wall_clock(record)) for *place, record in zip(rows, changes, sources, bodies, records, strict=True)]
+            fit = [(*place, record) for *place, record in placed if record is not None]
             n_left_out += len(placed) - len(fit)
-            rows, changes, sources = (tuple(one[column] for one in fit) for column in range(3))
+            rows, changes, sources, bodies = (tuple(one[column] for one in fit) for column in range(4))
             records = [record for *_, record in fit]
             encounters = _make_rows(rows, records)
         yield LoadedEncounters(
@@ -90,6 +117,7 @@ def load_encounters(database: sqlite3.Connection, *, kind: int) -> Iterator[Load
             changes=np.array(changes, dtype=np.int64),
             _gateways=[names[source] for source in sources],
             _records=records,
+            _bodies=bodies,
         )
     if n_left_out:
         _log.warning("store.rows_left_out", encounters=n_left_out, reason="their numbers have more than 64 bits, or make no interval")
@@ -115,11 +143,11 @@ def _on_wall_clock(record: _Lean) -> _Lean | None:
     return msgspec.structs.replace(record, wall_anchor_ns=0, t_start_ns=begin, t_end_ns=end)
 
 
-def _decode(bodies: tuple[bytes, ...]) -> list[_Lean]:
+def _decode(bodies: Sequence[bytes], decoder: "msgspec.msgpack.Decoder[list[_RecordT]]") -> list[_RecordT]:
     # One MessagePack array of all of them (msgpack specification, "array 32"): a call for each would take twice as long.
     whole = b"\xdd" + len(bodies).to_bytes(4, "big") + b"".join(bodies)
     try:
-        records = _decoder.decode(whole)
+        records = decoder.decode(whole)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RecordError(record="encounter", reason=str(error)) from error
     return records

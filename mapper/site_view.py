@@ -17,6 +17,7 @@ from mapper.gateway_clocks import GatewayClocks, Source, SourceClock
 from mapper.joint_encounters import JointEncounters, ToldRows
 from mapper.log import EventLog
 from mapper.mode_spells import ModeSpells
+from mapper.own_spans import N_NUMBERS, ZEROS
 from mapper.record_columns import (
     MAX_WALL_NS,
     EncounterColumns,
@@ -32,6 +33,7 @@ from mapper.types import BoolArray, IntArray
 _log = EventLog(__name__)
 
 _FIRST_CAPACITY = 1024
+_OWN = 9
 _MANY = 0.1
 """Where more than this share of all encounters moves, joining all anew takes less time than one by one."""
 
@@ -60,8 +62,8 @@ class SiteView:
         self._gateway_of: list[int] = []
         self._raw_others: dict[int, ModeRecord | MissionRecord] = {}
         # Rows: begin, end [ns, gateway's wall clock], the two ids, whether it counts, margin [ns], source, whether its end is final,
-        # error [ns].
-        self._raw: IntArray = np.zeros((9, _FIRST_CAPACITY), dtype=np.int64)
+        # error [ns], and what both biobots told on their own clocks (`mapper.own_spans`).
+        self._raw: IntArray = np.zeros((_OWN + N_NUMBERS, _FIRST_CAPACITY), dtype=np.int64)
         self._n_rows = 0
         self._is_joining = False
         self._is_unread = False
@@ -173,14 +175,15 @@ class SiteView:
     def _remember(self, rows: EncounterRows, origins: EncounterOrigins) -> None:
         n = 1 + int(rows.row.max())
         if n > self._raw.shape[1]:
-            grown = np.zeros((9, max(n, 2 * self._raw.shape[1])), dtype=np.int64)
+            grown = np.zeros((len(self._raw), max(n, 2 * self._raw.shape[1])), dtype=np.int64)
             grown[:, : self._n_rows] = self._raw[:, : self._n_rows]
             self._raw = grown
         if n > self._n_rows:
             self._raw[7, self._n_rows : n] = -1
             self._n_rows = n
         values = (rows.t_start_ns, rows.t_end_ns, rows.id1, rows.id2, rows.counts)
-        for column, numbers in enumerate((*values, origins.margin_ns, origins.source, origins.is_final, origins.error_ns)):
+        others = (origins.margin_ns, origins.source, origins.is_final, origins.error_ns)
+        for column, numbers in enumerate((*values, *others, *origins.own)):
             self._raw[column, rows.row] = numbers
 
     def _note(self, rows: IntArray) -> None:
@@ -192,7 +195,7 @@ class SiteView:
         return number_pairs(np.minimum(id1, id2), np.maximum(id1, id2))
 
     def _read(self, rows: IntArray) -> SampledRows:
-        begin, end, _, _, counts, _, source, is_final, _ = self._raw[:, rows]
+        begin, end, _, _, counts, _, source, is_final, _ = self._raw[:_OWN, rows]
         return SampledRows(
             source=source,
             pair=self._pairs(rows),
@@ -207,7 +210,7 @@ class SiteView:
 
     def _shifted(self, rows: IntArray) -> EncounterRows:
         """Return records on the site's clock."""
-        begin, end, id1, id2, counts, _, source, _, _ = self._raw[:, rows]
+        begin, end, id1, id2, counts, _, source, _, _ = self._raw[:_OWN, rows]
         for number in np.unique(source).tolist():
             shift = self._clocks.shift(number)
             if shift is not None:
@@ -239,8 +242,10 @@ class SiteView:
 
         Their errors are without that of the shift, which may become another one while no record moves: what is joined would depend on when.
         """
-        margin_ns, error_ns = self._raw[5, rows], self._raw[8, rows]
-        return ToldRows(rows=self._shifted(rows), margin_ns=margin_ns, error_ns=error_ns, gateway=self._gateways_of(rows))
+        margin_ns, error_ns, own = self._raw[5, rows], self._raw[8, rows], self._raw[_OWN:, rows]
+        shifted = self._shifted(rows)
+        own[ZEROS] += shifted.t_start_ns - self._raw[0, rows]
+        return ToldRows(rows=shifted, margin_ns=margin_ns, error_ns=error_ns, gateway=self._gateways_of(rows), own=own)
 
     def _publish(self, amount: EncounterRows, *, change: int) -> None:
         differs = self.encounters.differs(amount)

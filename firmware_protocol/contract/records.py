@@ -11,7 +11,7 @@ from typing import Annotated, TypeAlias, TypeVar
 import msgspec
 
 from firmware_protocol.errors import RecordError
-from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
+from firmware_protocol.units import BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm
 
 _Offset = Annotated[int, msgspec.Meta(ge=1)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -20,6 +20,9 @@ AnyNode = Annotated[NodeId, msgspec.Meta(ge=0)]
 
 RecordIdentity: TypeAlias = tuple[str, str, BootId, int]
 """Gateway, journal, boot and sequence: two journals of one gateway may number their starts alike."""
+
+OwnSpan: TypeAlias = tuple[BootId, Milliseconds, Milliseconds]
+"""Count of a backpack's starts, and begin and end of what it reports [ms since that start]: the same whenever and to whom it is told."""
 
 
 class Mode(Enum):
@@ -64,6 +67,8 @@ class EncounterSide(Struct, frozen=True, kw_only=True):
     """Path that its IMU measured since the start of its encounter before [mm], at most 65,534; None: not known."""
     error_ns: Nanoseconds | None = None
     """Neither instant is wrong by more than this, by the fit of its clock; None: not known, but not more than the record's."""
+    own_clock: OwnSpan | msgspec.UnsetType = msgspec.UNSET
+    """What it reported on its own clock, which no gateway's clock can falsify. Left out where the gateway does not tell."""
 
 
 class RecordHead(Struct, frozen=True, kw_only=True):

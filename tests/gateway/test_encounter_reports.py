@@ -74,7 +74,7 @@ class _Side:
         self.clock = clocks.observe(node=NodeId(1), boot=BootId(1), sent_ms=Milliseconds(_SENT_MS), received_ns=now_ns)
 
     def take(self, entry: EncounterFields) -> None:
-        records = self.reports.take([entry], node=self.node, sent_ms=_SENT_MS, clock=self.clock)
+        records = self.reports.take([entry], node=self.node, boot=BootId(1), sent_ms=_SENT_MS, clock=self.clock)
         self.told += records
         if records:
             self.journal.append(JournalWrite(records=tuple(records)))
@@ -225,7 +225,7 @@ class _Start:
             now_wall_ns=Nanoseconds(0),
         )
         clock = self.clocks.observe(node=NodeId(node), boot=BootId(1), sent_ms=sent_ms, received_ns=self.now_ns)
-        records = self.reports.take(entries, node=known, sent_ms=_SENT_MS, clock=clock)
+        records = self.reports.take(entries, node=known, boot=BootId(1), sent_ms=_SENT_MS, clock=clock)
         segment = SegmentBuilder(first_offset=self.next_offset, windows=self.file.windows)
         segment.add(JournalWrite(records=tuple(records)))
         self.file.commit(segment)

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import UNSET, UnsetType
 
-from firmware_protocol.contract.records import EncounterRecord, MissionPhase, MissionRecord, ModeRecord
-from firmware_protocol.units import Nanoseconds
+from firmware_protocol.contract.records import EncounterRecord, EncounterSide, MissionPhase, MissionRecord, ModeRecord, OwnSpan
+from firmware_protocol.units import BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm
 from mapper.clock_votes import FLOOR_NS
 from mapper.errors import StoreError
 from mapper.mode_spells import ModeSpells
@@ -29,7 +30,7 @@ Interval = tuple[int, int, int, int]
 
 
 def joined_plainly(records: list[EncounterRecord]) -> list[Interval]:
-    """The rule, told slowly: connected pieces of covers of a pair, where two gateways at least tell of them; else each by itself."""
+    """The rule, told slowly: what is connected by covers or by a tick of one biobot, where two gateways at least tell of it; else each alone."""
     newest: dict[object, EncounterRecord] = {}
     for record in records:
         if record.identity not in newest or record.revision > newest[record.identity].revision:
@@ -39,15 +40,7 @@ def joined_plainly(records: list[EncounterRecord]) -> list[Interval]:
     for nodes in {(record.node_a, record.node_b) for record in counting}:
         pieces: list[list[EncounterRecord]] = []
         for record in [record for record in counting if (record.node_a, record.node_b) == nodes]:
-            touching = [
-                piece
-                for piece in pieces
-                if any(
-                    one.t_start_ns - one.margin_ns <= record.t_end_ns + record.margin_ns
-                    and record.t_start_ns - record.margin_ns <= one.t_end_ns + one.margin_ns
-                    for one in piece
-                )
-            ]
+            touching = [piece for piece in pieces if any(covers_overlap(one, record) or told_alike(one, record) for one in piece)]
             pieces = [piece for piece in pieces if piece not in touching] + [[record, *(one for piece in touching for one in piece)]]
         for piece in pieces:
             parts = [piece] if len({record.gateway for record in piece}) > 1 else [[record] for record in piece]
@@ -55,6 +48,34 @@ def joined_plainly(records: list[EncounterRecord]) -> list[Interval]:
                 begin = agreed_plainly([(one.t_start_ns, one.error_ns) for one in part])
                 found.append((begin, max(begin, -agreed_plainly([(-one.t_end_ns, one.error_ns) for one in part])), *nodes))
     return sorted(found)
+
+
+def covers_overlap(one: EncounterRecord, other: EncounterRecord) -> bool:
+    return (
+        one.t_start_ns - one.margin_ns <= other.t_end_ns + other.margin_ns
+        and other.t_start_ns - other.margin_ns <= one.t_end_ns + one.margin_ns
+    )
+
+
+def told_alike(one: EncounterRecord, other: EncounterRecord) -> bool:
+    """Whether a biobot told both of the same tick of one of its lives, tick by tick."""
+
+    def ticks(record: EncounterRecord) -> set[tuple[int, int, int]]:
+        told = [(side.node, side.own_clock) for side in record.sides]
+        return {(node, own[0], tick) for node, own in told if not isinstance(own, UnsetType) for tick in range(own[1], own[2] + 1)}
+
+    return bool(ticks(one) & ticks(other))
+
+
+def a_side(node: int, own: OwnSpan | UnsetType, *, t_ns: tuple[int, int], error_ns: int = 0) -> EncounterSide:
+    return EncounterSide(
+        node=NodeId(node),
+        t_start_ns=Nanoseconds(t_ns[0]),
+        t_end_ns=Nanoseconds(t_ns[1]),
+        rssi_dbm=RssiDbm(-60),
+        error_ns=Nanoseconds(error_ns),
+        own_clock=own,
+    )
 
 
 def agreed_plainly(told: list[tuple[int, int]]) -> int:
@@ -67,9 +88,18 @@ def agreed_plainly(told: list[tuple[int, int]]) -> int:
     return (min(allowed) + max(allowed)) // 2
 
 
+def own_spans() -> st.SearchStrategy[OwnSpan | UnsetType]:
+    """Of two starts of a backpack, some ticks each; sometimes not told."""
+    spans = st.tuples(st.integers(0, 1), st.integers(0, 40), st.integers(0, 4))
+    return st.just(UNSET) | spans.map(lambda one: (BootId(one[0]), Milliseconds(one[1]), Milliseconds(one[1] + one[2])))
+
+
 @st.composite
 def journals(draw: st.DrawFn) -> list[EncounterRecord]:
-    """What up to three gateways tell of two pairs, corrections among it; clocks are right, and margins as told."""
+    """What up to three gateways tell of two pairs, corrections among it; clocks are right, and margins as told.
+
+    Biobots' own clocks have nothing to do with the instants here, so that encounters are connected by either alone, and by both.
+    """
     records: list[EncounterRecord] = []
     for gateway in draw(st.lists(st.sampled_from(GATEWAYS), min_size=1, max_size=3, unique=True)):
         revisions: dict[int, int] = {}
@@ -88,7 +118,11 @@ def journals(draw: st.DrawFn) -> list[EncounterRecord]:
             )
             error = draw(st.integers(0, 3))
             margin = draw(st.integers(error, 4))
-            records.append(msgspec.structs.replace(record, margin_ns=margin, error_ns=Nanoseconds(error)))
+            sides = tuple(
+                a_side(node, draw(own_spans()), t_ns=(record.t_start_ns, record.t_end_ns))
+                for node in draw(st.sets(st.sampled_from((record.node_a, record.node_b))))
+            )
+            records.append(msgspec.structs.replace(record, margin_ns=margin, error_ns=Nanoseconds(error), sides=sides))
     return records
 
 
@@ -233,6 +267,72 @@ def test_a_correction_or_a_void_of_either_record_is_followed() -> None:
         assert encounters_of(store) == [(3 * S, 9 * S, 1, 2)]
         store.apply(batches([msgspec.structs.replace(one, offset=3, revision=2, t_end_ns=Nanoseconds(2 * S))]))
         assert encounters_of(store) == [(0, 2 * S, 1, 2), (3 * S, 9 * S, 1, 2)]
+
+
+def own(start_ms: int, end_ms: int, *, boot: int = 7) -> OwnSpan:
+    return BootId(boot), Milliseconds(start_ms), Milliseconds(end_ms)
+
+
+def told_by(gateway: str, *, t_ms: tuple[int, int], told: OwnSpan, node: int = 1, error_ms: int = 2, ahead_s: int = 0) -> EncounterRecord:
+    """One side's record of an encounter, by a gateway whose clock is ahead; so badly dated a gateway knows no margin but 0.1 s."""
+    t_ns = (t_ms[0] * 1_000_000, t_ms[1] * 1_000_000)
+    record = encounter(1, t_ns=t_ns, gateway=gateway)
+    return msgspec.structs.replace(
+        record,
+        error_ns=Nanoseconds(error_ms * 1_000_000),
+        margin_ns=min(error_ms, 100) * 1_000_000,
+        wall_anchor_ns=Nanoseconds(ANCHOR_NS + ahead_s * S),
+        sides=(a_side(node, told, t_ns=t_ns, error_ns=error_ms * 1_000_000),),
+    )
+
+
+@pytest.mark.parametrize("late_ms", [-6_000, -1_900, 1_900, 6_000])
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_report_that_is_told_again_to_a_gateway_that_dates_it_wrong_counts_once_and_when_it_was(late_ms: int, first: int) -> None:
+    right = told_by("north", t_ms=(60_000, 63_000), told=own(5_000, 8_000))
+    wrong = told_by("south", t_ms=(60_000 + late_ms, 63_000 + late_ms), told=own(5_000, 8_000), error_ms=2_000)
+    with closing(Store(None)) as store:
+        store.apply(batches([right, wrong] if first else [wrong, right]))
+        assert encounters_of(store) == [(60 * S, 63 * S, 1, 2)]
+        assert store.n_encounters == 1
+
+
+def test_a_gateway_whose_clock_is_wrong_and_not_set_right_yet_doubles_nothing_that_both_were_told() -> None:
+    """Too few are shared for votes: of clocks that are known equally well that of the first name counts."""
+    north = told_by("north", t_ms=(60_000, 63_000), told=own(5_000, 8_000))
+    south = told_by("south", t_ms=(60_000, 64_000), told=own(5_000, 9_000), ahead_s=300)
+    with closing(Store(None)) as store:
+        store.apply(batches([south, north]))
+        assert encounters_of(store) == [(60 * S, 64 * S, 1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("told", "node", "ahead_s"),
+    [
+        (own(5_000, 8_000, boot=8), 1, 0),  # another start
+        (own(8_001, 8_000 + 3_001), 1, 0),  # ticks later
+        (own(5_000, 8_000), 2, 0),  # the other biobot's clock
+        (own(5_000, 8_000), 1, 90_000),  # a count of starts that began anew: more than a day apart
+    ],
+)
+def test_what_no_tick_is_shared_of_stays_apart(told: OwnSpan, node: int, ahead_s: int) -> None:
+    north = told_by("north", t_ms=(60_000, 63_000), told=own(5_000, 8_000))
+    south = told_by("south", t_ms=(70_000, 73_000), told=told, node=node, ahead_s=ahead_s)
+    with closing(Store(None)) as store:
+        store.apply(batches([north, south]))
+        assert store.n_encounters == 2
+
+
+def test_numbers_that_no_clock_shows_count_as_not_told() -> None:
+    north = told_by("north", t_ms=(60_000, 63_000), told=own(0, 2**32 - 1))
+    for told in (own(-1, 5), own(9, 5), own(2**32, 2**33), own(0, 2**63, boot=2**40)):
+        with closing(Store(None)) as store:
+            store.apply(batches([north, told_by("south", t_ms=(70_000, 73_000), told=told)]))
+            assert store.n_encounters == 2
+    last = told_by("south", t_ms=(60_000 + 2**32 - 1, 60_000 + 2**32), told=own(2**32 - 1, 2**62))
+    with closing(Store(None)) as store:
+        store.apply(batches([north, last]))
+        assert store.n_encounters == 1
 
 
 def test_modes_and_missions_of_a_gateway_are_on_the_sites_clock_too() -> None:

@@ -1,0 +1,86 @@
+"""When an encounter was, of which several records tell: badly dated ones are set right by a biobot's own clock first. Pure.
+
+A side that two records have in common is at the same ticks of its biobot's clock in both. Where one of them has that clock within 0.1 s
+and the other has not (a gateway that has hardly heard the biobot yet), or where the two contradict each other (a gateway whose wall clock
+is wrong, and not set right yet), the one is believed: the other is moved to where the same tick is by it.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from mapper.own_spans import PLACES_A_LIFE, ZEROS
+
+SAME_LIFE_NS: Final = 86_400_000_000_000
+"""Two gateways' wall clocks tell the begin of one life of a backpack no further apart [ns]; a count of starts that was lost and begins
+anew gives other lives the same numbers."""
+
+_SETTLED_NS: Final = 100_000_000
+"""A biobot's clock that is known so well is believed, as `gateway.clocks` has it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DatedRecord:
+    """A record's interval and error [ns], and `own_spans.N_NUMBERS` numbers. Of records dated equally well the first gateway's decides."""
+
+    begin: int
+    end: int
+    error: int
+    gateway: str
+    own: tuple[int, ...]
+
+    def side(self, axis: int) -> tuple[int, int, int] | None:
+        """Return the life, when its clock showed 0 and how wrong that may be [ns]; None: the side was not told."""
+        first, _, zero, error = self.own[4 * axis : 4 * axis + 4]
+        return None if first < 0 else (first // PLACES_A_LIFE, zero, error)
+
+
+def agree(records: Iterable[DatedRecord]) -> tuple[int, int]:
+    """Return begin and end of the encounter that at least one record tells of."""
+    placed: list[DatedRecord] = []
+    for record in sorted(records, key=_trust):
+        placed.append(_move(record, placed))
+    begin = _agreed((one.begin, one.error) for one in placed)
+    return begin, max(begin, -_agreed((-one.end, one.error) for one in placed))
+
+
+def _trust(record: DatedRecord) -> tuple[int, str, int, int, tuple[int, ...]]:
+    """Order records by how well their worse side is dated, all that are dated well alike."""
+    worst = max(side[2] if (side := record.side(axis)) else 0 for axis in (0, 1))
+    return (worst if worst > _SETTLED_NS else 0), record.gateway, record.begin, record.end, record.own
+
+
+def _move(record: DatedRecord, placed: Sequence[DatedRecord]) -> DatedRecord:
+    """Put a record where the first of those that are better known has it, if it may be wrong or is."""
+    sides = [record.side(axis) for axis in (0, 1)]
+    if any(side is not None and side[2] > _SETTLED_NS for side in sides) and any(
+        side is not None and side[2] <= _SETTLED_NS for side in sides
+    ):
+        return record  # its better side dates it
+    for other in placed:
+        for axis, side in enumerate(sides):
+            theirs = other.side(axis)
+            if side is None or theirs is None or side[0] != theirs[0] or abs(side[1] - theirs[1]) > SAME_LIFE_NS:
+                continue
+            later, error = theirs[1] - side[1], side[2]
+            if not (error > max(_SETTLED_NS, theirs[2]) or abs(later) > 2 * _SETTLED_NS + error + theirs[2]):
+                continue
+            own = tuple(number + later if place in ZEROS else number for place, number in enumerate(record.own))
+            return DatedRecord(
+                begin=record.begin + later,
+                end=record.end + later,
+                error=max(0, record.error - error) + min(error, theirs[2]),
+                gateway=record.gateway,
+                own=own,
+            )
+    return record
+
+
+def _agreed(told: Iterable[tuple[int, int]]) -> int:
+    """Return the middle of what the earliest instant, and those after it that can agree with it, allow; each is given with its error."""
+    (instant, error), *others = sorted(told)
+    earliest, latest = instant - error, instant + error
+    for instant, error in others:
+        if max(earliest, instant - error) <= min(latest, instant + error):
+            earliest, latest = max(earliest, instant - error), min(latest, instant + error)
+    return (earliest + latest) // 2
