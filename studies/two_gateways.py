@@ -116,7 +116,7 @@ def _look(url: str, truth: Path) -> Outcome:
             n_reciprocal += joint["is_reciprocal"]
     health = _get(url, "/healthz")
     return Outcome(
-        ledger=check_ledger(truth, counted),
+        ledger=check_ledger(truth, records),
         intervals=tuple(
             sorted(
                 (one["node_a"], one["node_b"], (one["t_start_wall_ns"] - zero_ns) / _NS_PER_S, (one["t_end_wall_ns"] - zero_ns) / _NS_PER_S)

@@ -128,6 +128,15 @@ class JointItem(AnswerModel):
     records: list[RecordName]
 
 
+class OwnClockItem(AnswerModel):
+    """What a biobot told of an encounter on its own clock: the same however often, to whom and how late it was told."""
+
+    node: int
+    boot: int = Field(description="Count of the backpack's starts, of which the clock runs from the newest")
+    start_ms: int
+    end_ms: int
+
+
 class EncounterItem(AnswerModel):
     """An encounter in its newest revision; instants are on the site's wall clock [ns since 1970, UTC]."""
 
@@ -145,6 +154,7 @@ class EncounterItem(AnswerModel):
     is_reciprocal: bool
     is_ongoing: bool
     is_void: bool
+    own_clocks: list[OwnClockItem] = Field(description="Of those of the two that reported it; empty: the gateway does not tell")
     joint: JointItem | None = Field(description="As things stand now; null: no other gateway told of it")
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import msgspec
 from fastapi import Response
+from msgspec import UnsetType
 
 from firmware_protocol.contract.records import EncounterRecord, GatewayStatus
 from mapper.current_map import MapStatus
@@ -106,6 +107,12 @@ def view_encounter(record: EncounterRecord, *, shift_ns: int, bound_ns: int, joi
         "is_reciprocal": record.is_reciprocal,
         "is_ongoing": record.is_ongoing,
         "is_void": record.is_void,
+        "own_clocks": [
+            {"node": side.node, "boot": boot, "start_ms": start_ms, "end_ms": end_ms}
+            for side in record.sides
+            if not isinstance(side.own_clock, UnsetType)
+            for boot, start_ms, end_ms in (side.own_clock,)
+        ],
         "joint": None if joint is None else _view_joint(joint, record),
     }
 

@@ -247,7 +247,7 @@ class Topology:
         """Hold a site's store against what its backpacks reported, and look for anything from elsewhere."""
         name, problems = post.plan.name, self.found.problems
         records = post.page.encounters()
-        ledger = check_ledger(truth, counted(records))
+        ledger = check_ledger(truth, records)
         problems += [f"{name}: {node_a} and {node_b} at {start_s:.3f} s is missing" for node_a, node_b, start_s in ledger.missing]
         problems += [f"{name}: {node_a} and {node_b} at {start_s:.3f} s is there twice" for node_a, node_b, start_s in ledger.doubled]
         own = set(post.plan.hosts)

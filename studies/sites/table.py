@@ -11,9 +11,13 @@ def write_table(found: Findings) -> str:
     for one in found.outcomes:
         who = ", ".join(one.cut_off) or "nobody"
         lines.append(f"| {one.name} | {one.lasts_s:g} | {who} | {one.seen_after_s:.1f} | {one.level_after_s:.1f} |")
-    lines += ["", "| site | true encounters | reports | records that count | missing | doubled or forged |", "|---|---|---|---|---|---|"]
+    lines += [
+        "",
+        "| site | true encounters | reports | encounters that count | missing | doubled or forged | dated wrong |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for name, ledger in found.ledgers.items():
-        numbers = (ledger.n_encounters, ledger.n_reports, ledger.n_records, len(ledger.missing), len(ledger.doubled))
+        numbers = (ledger.n_encounters, ledger.n_reports, ledger.n_records, len(ledger.missing), len(ledger.doubled), len(ledger.misdated))
         lines.append(f"| {name} | " + " | ".join(f"{number:,}" for number in numbers) + " |")
     lines += ["", f"{found.n_joint:,} encounters were recorded by two gateways; {found.n_wanderers} biobots were at two gateways or more."]
     lines += ["", "| order | link | answered at first | in the end | n |", "|---|---|---|---|---|"]

@@ -30,7 +30,7 @@ Interval = tuple[int, int, int, int]
 
 
 def joined_plainly(records: list[EncounterRecord]) -> list[Interval]:
-    """The rule, told slowly: what is connected by covers or by a tick of one biobot, where two gateways at least tell of it; else each alone."""
+    """The rule, told slowly: what covers or ticks connect, where two gateways at least tell of it; else each by itself."""
     newest: dict[object, EncounterRecord] = {}
     for record in records:
         if record.identity not in newest or record.revision > newest[record.identity].revision:
