@@ -92,9 +92,9 @@ class EncounterMerger:
         begin, end = _overlap(meetings, report.t_start_ns - report.margin_ns, report.t_end_ns + report.margin_ns)
         if report.is_ongoing or pair in self._provisional:
             self._provisional.add(pair)
-            elsewhere = [one for at, one in enumerate(meetings) if not begin <= at < end and has_told(one, report)]
-            if elsewhere:
-                return self._gather(pair, meetings, report, elsewhere)
+            told = [one for at, one in enumerate(meetings) if has_told(one, report, is_near=begin <= at < end)]
+            if told:
+                return self._gather(pair, meetings, report, told)
         if begin == end:
             meeting = meeting_of(report, boot=self.issuer.boot, sequence=self.issuer.take_sequence())
             meetings.insert(begin, meeting)
@@ -200,22 +200,24 @@ class EncounterMerger:
         gap_ns = 0 if side is None else report.t_start_ns - side.t_end_ns
         self.loss.observe(duration=(report.t_end_ns - report.t_start_ns) / report.period_ns, gap=gap_ns / report.period_ns)
 
-    def _gather(self, pair: _Pair, meetings: list[Meeting], report: SideReport, elsewhere: list[Meeting]) -> list[EncounterRecord]:
-        """Make one encounter of those that a report's biobot has told of at other times, and of those that the report connects now."""
-        for meeting in elsewhere:
+    def _gather(self, pair: _Pair, meetings: list[Meeting], report: SideReport, told: list[Meeting]) -> list[EncounterRecord]:
+        """Make one encounter of those that a report's biobot told of by another date, and of those that the report connects now."""
+        for meeting in told:
+            report = date_alike(meeting, report)
+        for meeting in told:  # by the best of them all
             report = date_alike(meeting, report)
         cover_start_ns, cover_end_ns = report.t_start_ns - report.margin_ns, report.t_end_ns + report.margin_ns
-        apart = [one for one in meetings if all(one is not meeting for meeting in elsewhere)]
+        apart = [one for one in meetings if all(one is not meeting for meeting in told)]
         while True:
-            cover_start_ns = min(cover_start_ns, *(one.cover_start_ns for one in elsewhere))
-            cover_end_ns = max(cover_end_ns, *(one.cover_end_ns for one in elsewhere))
+            cover_start_ns = min(cover_start_ns, *(one.cover_start_ns for one in told))
+            cover_end_ns = max(cover_end_ns, *(one.cover_end_ns for one in told))
             begin, end = _overlap(apart, cover_start_ns, cover_end_ns)
             if begin == end:
                 break
-            elsewhere += apart[begin:end]
+            told += apart[begin:end]
             del apart[begin:end]
-        meetings[:] = [*apart[:begin], *elsewhere, *apart[begin:]]
-        return self._join(pair, meetings, report, begin, begin + len(elsewhere))
+        meetings[:] = [*apart[:begin], *told, *apart[begin:]]
+        return self._join(pair, meetings, report, begin, begin + len(told))
 
     def _join(self, pair: _Pair, meetings: list[Meeting], report: SideReport, begin: int, end: int) -> list[EncounterRecord]:
         """Make one encounter of several that a report connects."""

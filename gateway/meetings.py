@@ -12,6 +12,7 @@ from msgspec.structs import force_setattr, replace
 
 from firmware_protocol.contract.records import EncounterRecord, EncounterSide, OwnSpan
 from firmware_protocol.units import NS_PER_MS, BootId, Nanoseconds, NodeId, RssiDbm
+from gateway.clocks import SETTLED_ERROR_NS
 from gateway.issuer import RecordIssuer
 from gateway.radio import strongest
 from gateway.unheard import Guesses
@@ -269,13 +270,18 @@ def side_of(report: SideReport) -> EncounterSide:
     )
 
 
-def has_told(meeting: Meeting, report: SideReport) -> bool:
-    """Whether a report's biobot has told of the encounter what it tells now, or a part of it: by its own clock, whatever the instants."""
+def has_told(meeting: Meeting, report: SideReport, *, is_near: bool) -> bool:
+    """Whether a report's biobot has told of the encounter what it tells now, or a part of it, by its own clock, but by another date.
+
+    That is another date which does not connect them by time (``is_near``: it does), or is so much worse.
+    """
     side, told = meeting.side_a if report.node < report.peer else meeting.side_b, report.own_clock
-    known = UNSET if side is None else side.own_clock
-    if isinstance(known, UnsetType) or isinstance(told, UnsetType):
+    if side is None or isinstance(side.own_clock, UnsetType) or isinstance(told, UnsetType):
         return False
-    return known[0] == told[0] and known[1] <= told[2] and told[1] <= known[2]
+    if is_near and abs((side.error_ns or 0) - report.error_ns) <= SETTLED_ERROR_NS:
+        return False
+    boot, start_ms, end_ms = side.own_clock
+    return boot == told[0] and start_ms <= told[2] and told[1] <= end_ms
 
 
 def date_alike(meeting: Meeting, report: SideReport) -> SideReport:

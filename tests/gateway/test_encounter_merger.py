@@ -2,12 +2,13 @@
 
 from itertools import pairwise
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from firmware_protocol.contract.records import EncounterRecord
-from firmware_protocol.units import NS_PER_MS, RSSI_UNKNOWN, Nanoseconds, NodeId, RssiDbm
+from firmware_protocol.units import NS_PER_MS, RSSI_UNKNOWN, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm
 from gateway.encounters import EncounterMerger, SideReport, margin_of
 from gateway.unheard import BeaconLoss
 from tests.gateway.makers import an_issuer, newest_encounters
@@ -320,3 +321,53 @@ def test_a_final_report_ends_an_encounter_whose_provisional_one_was_dated_by_a_c
     assert [first.is_ongoing, last.is_ongoing] == [True, False]
     beyond = replace(_report(1, 2, 100, 9_500, margin=500, is_ongoing=True), error_ns=Nanoseconds(5 * _MS))
     assert [record.is_ongoing for record in merger.merge(beyond)] == [True]
+
+
+def _told_report(
+    node: int, peer: int, own_ms: tuple[int, int], *, off_ms: int = 0, error_ms: int = 5, is_ongoing: bool = False
+) -> SideReport:
+    """A report of some ticks of a backpack's fourth start, which by the right clock are the same ms; dated so wrong."""
+    report = _report(node, peer, own_ms[0] + off_ms, own_ms[1] + off_ms, margin=min(error_ms, 100), is_ongoing=is_ongoing)
+    own = (BootId(4), Milliseconds(own_ms[0]), Milliseconds(own_ms[1]))
+    return replace(report, error_ns=Nanoseconds(error_ms * _MS), own_clock=own)
+
+
+@pytest.mark.parametrize("off_ms", [-3_000, -800, 800, 3_000])
+@pytest.mark.parametrize("comes_late", [False, True])
+def test_what_was_told_while_a_clock_was_hardly_known_and_its_end_are_one_encounter(off_ms: int, comes_late: bool) -> None:
+    """Another meeting of the pair lies between the two dates: it stays another one."""
+    provisional = _told_report(1, 2, (10_000, 10_500), off_ms=off_ms, error_ms=2_000, is_ongoing=True)
+    final = _told_report(1, 2, (10_000, 10_600))
+    others = [_told_report(2, 1, (8_500, 8_600)), _told_report(2, 1, (12_000, 12_100))]
+    order = [final, *others, provisional] if comes_late else [provisional, *others, final]
+    found = [(one.t_start_ns // _MS, one.t_end_ns // _MS, one.is_ongoing) for one in newest_encounters(_merge_all(order))]
+    assert found == [(8_500, 8_600, False), (10_000, 10_600, False), (12_000, 12_100, False)]
+
+
+@given(st.lists(st.tuples(st.integers(1, 60), st.integers(-5_000, 5_000)), min_size=1, max_size=5), st.data())
+def test_an_encounter_that_is_told_again_and_again_is_one_however_each_time_is_dated(
+    told: list[tuple[int, int]], data: st.DataObject
+) -> None:
+    reports = [_told_report(1, 2, (1_000, 1_000 + s * 1_000), off_ms=off, error_ms=2_000, is_ongoing=True) for s, off in told]
+    reports.append(_told_report(1, 2, (1_000, 61_000)))
+    (record,) = newest_encounters(_merge_all(data.draw(st.permutations(reports))))
+    assert [side.own_clock for side in record.sides] == [(4, 1_000, 61_000)]
+    assert record.t_start_ns == 1_000 * _MS
+    assert 61_000 * _MS <= record.t_end_ns <= 71_000 * _MS, "dates as bad as each other are put together before a better one comes"
+
+
+def test_after_a_restart_with_another_wall_clock_the_end_of_an_encounter_is_known_as_its_end() -> None:
+    before = EncounterMerger(issuer=an_issuer()).merge(_told_report(1, 2, (10_000, 40_000), is_ongoing=True))
+    again = EncounterMerger(issuer=an_issuer(boot=2, anchor_ns=3_600_000 * _MS))
+    again.restore(before, margin=lambda _: 5 * _MS)
+    (record,) = again.merge(_told_report(1, 2, (10_000, 40_100)))
+    assert (record.identity, record.revision, record.t_start_ns // _MS) == (before[0].identity, 1, 10_000)
+
+
+def test_of_two_starts_of_a_backpack_in_one_encounter_the_later_ones_ticks_are_told_whichever_came_first() -> None:
+    """A tick of another start is another instant: the reports are one encounter by their times."""
+    earlier = _told_report(1, 2, (1_000, 2_000))
+    later = replace(_told_report(1, 2, (2_000, 3_000)), own_clock=(BootId(5), Milliseconds(0), Milliseconds(1_000)))
+    for order in ([earlier, later], [later, earlier]):
+        (record,) = newest_encounters(_merge_all(order))
+        assert [side.own_clock for side in record.sides] == [(5, 0, 1_000)]
