@@ -8,11 +8,11 @@ import asyncio
 import sqlite3
 from collections.abc import Iterable, Sequence
 
-from firmware_protocol.contract.records import EncounterRecord
+from firmware_protocol.contract.records import EncounterRecord, OwnSpan
 from firmware_protocol.errors import RecordError
 from firmware_protocol.message_codec import EncounterFields
 from firmware_protocol.messages import BROADCAST_NODE
-from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, Milliseconds, NodeId
+from firmware_protocol.units import NS_PER_MS, NS_PER_S, BootId, NodeId
 from gateway.clocks import NodeClock
 from gateway.config import EncounterTable
 from gateway.encounters import EncounterMerger, SideReport, margin_of
@@ -101,7 +101,7 @@ class EncounterReports:
                 margin_ns=margin_ns,
                 period_ns=period_ms * NS_PER_MS,
                 path_mm=path_mm,
-                own_clock=(boot, Milliseconds(start_ms), Milliseconds(start_ms + duration_ms)),
+                own_clock=OwnSpan(boot, start_ms, start_ms + duration_ms),
             )
             if t_start_ns - margin_ns <= next_horizon_ns:
                 self._late_pairs.add((name, peer) if name < peer else (peer, name))

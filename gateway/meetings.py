@@ -280,8 +280,8 @@ def has_told(meeting: Meeting, report: SideReport, *, is_near: bool) -> bool:
         return False
     if is_near and abs((side.error_ns or 0) - report.error_ns) <= SETTLED_ERROR_NS:
         return False
-    boot, start_ms, end_ms = side.own_clock
-    return boot == told[0] and start_ms <= told[2] and told[1] <= end_ms
+    known = side.own_clock
+    return known.boot == told.boot and known.start_ms <= told.end_ms and told.start_ms <= known.end_ms
 
 
 def date_alike(meeting: Meeting, report: SideReport) -> SideReport:
@@ -293,7 +293,7 @@ def date_alike(meeting: Meeting, report: SideReport) -> SideReport:
     side, peers = (meeting.side_a, meeting.side_b) if is_a else (meeting.side_b, meeting.side_a)
     if peers is not None or side is None or isinstance(side.own_clock, UnsetType) or isinstance(report.own_clock, UnsetType):
         return report
-    later_ns = (report.own_clock[1] - side.own_clock[1]) * NS_PER_MS - (report.t_start_ns - side.t_start_ns)
+    later_ns = (report.own_clock.start_ms - side.own_clock.start_ms) * NS_PER_MS - (report.t_start_ns - side.t_start_ns)
     error_ns = side.error_ns or Nanoseconds(0)
     if error_ns < report.error_ns:
         start_ns, end_ns = report.t_start_ns + later_ns, report.t_end_ns + later_ns
@@ -334,11 +334,11 @@ def _join_own(one: OwnSpan | UnsetType, other: OwnSpan | UnsetType) -> OwnSpan |
     """Return all of two spans of one start; of two starts the later one's, for what a backpack kept of an earlier one is told no more."""
     if isinstance(one, UnsetType):
         return other
-    if isinstance(other, UnsetType) or one[0] > other[0]:
+    if isinstance(other, UnsetType) or one.boot > other.boot:
         return one
-    if one[0] < other[0]:
+    if one.boot < other.boot:
         return other
-    return (one[0], min(one[1], other[1]), max(one[2], other[2]))
+    return OwnSpan(one.boot, min(one.start_ms, other.start_ms), max(one.end_ms, other.end_ms))
 
 
 def _path_order(side: EncounterSide) -> tuple[int, bool, int]:

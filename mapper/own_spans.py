@@ -70,7 +70,7 @@ def _numbers_of(record: SidedRecord, node: int) -> tuple[int, int, int, int]:
         own = side.own_clock
         if side.node != node or isinstance(own, msgspec.UnsetType):
             continue
-        boot, start_ms, end_ms = own
+        boot, start_ms, end_ms = own.boot, own.start_ms, own.end_ms
         start_ns = side.t_start_ns + record.wall_anchor_ns
         if 0 <= boot <= _MAX_BOOT and 0 <= start_ms <= end_ms and start_ms < PLACES_A_LIFE and 0 <= start_ns < _MAX_WALL_NS:
             error_ns = record.error_ns if side.error_ns is None else side.error_ns

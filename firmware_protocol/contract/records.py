@@ -11,7 +11,7 @@ from typing import Annotated, TypeAlias, TypeVar
 import msgspec
 
 from firmware_protocol.errors import RecordError
-from firmware_protocol.units import BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm
+from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
 
 _Offset = Annotated[int, msgspec.Meta(ge=1)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -20,9 +20,6 @@ AnyNode = Annotated[NodeId, msgspec.Meta(ge=0)]
 
 RecordIdentity: TypeAlias = tuple[str, str, BootId, int]
 """Gateway, journal, boot and sequence: two journals of one gateway may number their starts alike."""
-
-OwnSpan: TypeAlias = tuple[BootId, Milliseconds, Milliseconds]
-"""Count of a backpack's starts, and begin and end of what it reports [ms since that start]: the same whenever and to whom it is told."""
 
 
 class Mode(Enum):
@@ -53,6 +50,15 @@ class MissionPhase(Enum):
 
 class Struct(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """Common options of what crosses the bus. Not watched by the garbage collector: what never changes is in no cycle."""
+
+
+class OwnSpan(msgspec.Struct, frozen=True, gc=False, array_like=True):
+    """What a backpack reports on its own clock: the same whenever and to whom it is told. (Garbage collectors watch tuples.)"""
+
+    boot: BootId
+    """Count of the backpack's starts; its clock begins at 0 with each."""
+    start_ms: int
+    end_ms: int
 
 
 class EncounterSide(Struct, frozen=True, kw_only=True):

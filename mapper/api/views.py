@@ -108,10 +108,9 @@ def view_encounter(record: EncounterRecord, *, shift_ns: int, bound_ns: int, joi
         "is_ongoing": record.is_ongoing,
         "is_void": record.is_void,
         "own_clocks": [
-            {"node": side.node, "boot": boot, "start_ms": start_ms, "end_ms": end_ms}
+            {"node": side.node, "boot": own.boot, "start_ms": own.start_ms, "end_ms": own.end_ms}
             for side in record.sides
-            if not isinstance(side.own_clock, UnsetType)
-            for boot, start_ms, end_ms in (side.own_clock,)
+            if not isinstance(own := side.own_clock, UnsetType)
         ],
         "joint": None if joint is None else _view_joint(joint, record),
     }

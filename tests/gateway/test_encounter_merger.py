@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from firmware_protocol.contract.records import EncounterRecord
-from firmware_protocol.units import NS_PER_MS, RSSI_UNKNOWN, BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm
+from firmware_protocol.contract.records import EncounterRecord, OwnSpan
+from firmware_protocol.units import NS_PER_MS, RSSI_UNKNOWN, BootId, Nanoseconds, NodeId, RssiDbm
 from gateway.encounters import EncounterMerger, SideReport, margin_of
 from gateway.unheard import BeaconLoss
 from tests.gateway.makers import an_issuer, newest_encounters
@@ -328,7 +328,7 @@ def _told_report(
 ) -> SideReport:
     """A report of some ticks of a backpack's fourth start, which by the right clock are the same ms; dated so wrong."""
     report = _report(node, peer, own_ms[0] + off_ms, own_ms[1] + off_ms, margin=min(error_ms, 100), is_ongoing=is_ongoing)
-    own = (BootId(4), Milliseconds(own_ms[0]), Milliseconds(own_ms[1]))
+    own = OwnSpan(BootId(4), *own_ms)
     return replace(report, error_ns=Nanoseconds(error_ms * _MS), own_clock=own)
 
 
@@ -351,7 +351,7 @@ def test_an_encounter_that_is_told_again_and_again_is_one_however_each_time_is_d
     reports = [_told_report(1, 2, (1_000, 1_000 + s * 1_000), off_ms=off, error_ms=2_000, is_ongoing=True) for s, off in told]
     reports.append(_told_report(1, 2, (1_000, 61_000)))
     (record,) = newest_encounters(_merge_all(data.draw(st.permutations(reports))))
-    assert [side.own_clock for side in record.sides] == [(4, 1_000, 61_000)]
+    assert [side.own_clock for side in record.sides] == [OwnSpan(BootId(4), 1_000, 61_000)]
     assert record.t_start_ns == 1_000 * _MS
     assert 61_000 * _MS <= record.t_end_ns <= 71_000 * _MS, "dates as bad as each other are put together before a better one comes"
 
@@ -367,7 +367,7 @@ def test_after_a_restart_with_another_wall_clock_the_end_of_an_encounter_is_know
 def test_of_two_starts_of_a_backpack_in_one_encounter_the_later_ones_ticks_are_told_whichever_came_first() -> None:
     """A tick of another start is another instant: the reports are one encounter by their times."""
     earlier = _told_report(1, 2, (1_000, 2_000))
-    later = replace(_told_report(1, 2, (2_000, 3_000)), own_clock=(BootId(5), Milliseconds(0), Milliseconds(1_000)))
+    later = replace(_told_report(1, 2, (2_000, 3_000)), own_clock=OwnSpan(BootId(5), 0, 1_000))
     for order in ([earlier, later], [later, earlier]):
         (record,) = newest_encounters(_merge_all(order))
-        assert [side.own_clock for side in record.sides] == [(5, 0, 1_000)]
+        assert [side.own_clock for side in record.sides] == [OwnSpan(BootId(5), 0, 1_000)]

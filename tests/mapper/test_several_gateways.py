@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from msgspec import UNSET, UnsetType
 
 from firmware_protocol.contract.records import EncounterRecord, EncounterSide, MissionPhase, MissionRecord, ModeRecord, OwnSpan
-from firmware_protocol.units import BootId, Milliseconds, Nanoseconds, NodeId, RssiDbm
+from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
 from mapper.clock_votes import FLOOR_NS
 from mapper.errors import StoreError
 from mapper.mode_spells import ModeSpells
@@ -62,7 +62,8 @@ def told_alike(one: EncounterRecord, other: EncounterRecord) -> bool:
 
     def ticks(record: EncounterRecord) -> set[tuple[int, int, int]]:
         told = [(side.node, side.own_clock) for side in record.sides]
-        return {(node, own[0], tick) for node, own in told if not isinstance(own, UnsetType) for tick in range(own[1], own[2] + 1)}
+        spans = [(node, own) for node, own in told if not isinstance(own, UnsetType)]
+        return {(node, own.boot, tick) for node, own in spans for tick in range(own.start_ms, own.end_ms + 1)}
 
     return bool(ticks(one) & ticks(other))
 
@@ -91,7 +92,7 @@ def agreed_plainly(told: list[tuple[int, int]]) -> int:
 def own_spans() -> st.SearchStrategy[OwnSpan | UnsetType]:
     """Of two starts of a backpack, some ticks each; sometimes not told."""
     spans = st.tuples(st.integers(0, 1), st.integers(0, 40), st.integers(0, 4))
-    return st.just(UNSET) | spans.map(lambda one: (BootId(one[0]), Milliseconds(one[1]), Milliseconds(one[1] + one[2])))
+    return st.just(UNSET) | spans.map(lambda one: OwnSpan(BootId(one[0]), one[1], one[1] + one[2]))
 
 
 @st.composite
@@ -270,7 +271,7 @@ def test_a_correction_or_a_void_of_either_record_is_followed() -> None:
 
 
 def own(start_ms: int, end_ms: int, *, boot: int = 7) -> OwnSpan:
-    return BootId(boot), Milliseconds(start_ms), Milliseconds(end_ms)
+    return OwnSpan(BootId(boot), start_ms, end_ms)
 
 
 def told_by(gateway: str, *, t_ms: tuple[int, int], told: OwnSpan, node: int = 1, error_ms: int = 2, ahead_s: int = 0) -> EncounterRecord:
