@@ -6,6 +6,7 @@ journal. After a start the first report brings back all of the last window at on
 
 import asyncio
 import sqlite3
+from collections import deque
 from collections.abc import Iterable, Sequence
 
 from firmware_protocol.contract.records import EncounterRecord, OwnSpan
@@ -32,6 +33,9 @@ _ABSENT_AFTER_NS = 120 * NS_PER_S
 
 _MAX_BROUGHT_BACK = 20_000
 """Encounters that are brought back together after a start: a fifth of a second. Of more than these, only the latest."""
+
+_MAX_BADLY_DATED, _MAX_LIVES_BADLY_DATED = 256, 4_096
+"""So many reports of so many starts of backpacks are dated anew when the clock is known; of more, the first dates stay."""
 
 _BEFORE_ALL_NS, _AFTER_ALL_NS = -(1 << 62), (1 << 63) - 1
 
@@ -65,12 +69,17 @@ class EncounterReports:
         self._late_pairs: set[tuple[NodeId, NodeId]] = set()
         """Of reports older than the next horizon that may not be on disk yet."""
         self._is_forgetting = False
+        self._badly_dated: dict[tuple[NodeId, BootId], deque[EncounterFields]] = {}
+        """What each start of a backpack told before its clock was settled."""
         self._merger = EncounterMerger(issuer=issuer)
 
     def take(
         self, entries: Sequence[EncounterFields], *, node: Node, boot: BootId, sent_ms: int, clock: NodeClock
     ) -> list[EncounterRecord]:
-        """Return the records that the entries of a biobot's message bring about. ``clock`` is that of the message's boot."""
+        """Return the records that the entries of a biobot's message bring about. ``clock`` is that of the message's boot.
+
+        What it told before its clock was settled is dated anew with the first message after that, with entries or without.
+        """
         if self._is_fresh:
             self._bring_back()
         name, latest_ms = node.node, sent_ms + MAX_AHEAD_MS
@@ -79,6 +88,10 @@ class EncounterReports:
         if len(taken) < len(entries):
             self._health.count("encounter.impossible", len(entries) - len(taken))
         records: list[EncounterRecord] = []
+        if not clock.is_settled:
+            self._note_badly_dated(name, boot, taken)
+        elif self._badly_dated:
+            taken = [*self._badly_dated.pop((name, boot), ()), *taken]
         if not taken:
             return records
         merge, find, n_bridged = self._merger.merge, self._nodes.find, self._n_bridged
@@ -109,6 +122,15 @@ class EncounterReports:
                     self._recall(report)
             records += merge(report)
         return records
+
+    def _note_badly_dated(self, name: NodeId, boot: BootId, entries: Sequence[EncounterFields]) -> None:
+        """Keep in mind what is to be dated anew; of too much, what was told last."""
+        known = self._badly_dated.setdefault((name, boot), deque(maxlen=_MAX_BADLY_DATED))
+        known += entries
+        for peer, *_ in entries:
+            self._merger.expect_again(name, peer)
+        if len(self._badly_dated) > _MAX_LIVES_BADLY_DATED:
+            del self._badly_dated[next(iter(self._badly_dated))]
 
     def begin_forgetting(self, *, now_ns: int) -> bool:
         """Choose what is to be forgotten: what is older than the window, and the oldest of too many; False where that is under way.

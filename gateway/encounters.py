@@ -6,8 +6,9 @@ margin is half of 1.15 beacon periods (the gap that a lost beacon leaves, double
 lost, or, where sensing is continuous, the error of the clock (at most 1 s; 0.1 s where no
 time sync has bounded it).
 
-A biobot may tell of an encounter provisionally while its clock is hardly known, and of its end when it is: no margin may connect the two
-dates. What it says on its own clock does: such reports are dated alike, as the better-known clock has it, before they are put together.
+A biobot may tell of an encounter while its clock is hardly known, and of its end when it is, or what was told is dated anew then: no margin
+may connect the two dates. What it says on its own clock does: such reports are dated alike, as the better-known clock has it, before they
+are put together.
 """
 
 from bisect import bisect_right
@@ -69,8 +70,8 @@ class EncounterMerger:
     """Of each pair, in the order of their covers, which do not overlap."""
     _order: deque[tuple[_Pair, Meeting]] = field(default_factory=deque)
     """All of them in the order in which they were told of, and those that became a part of another one since."""
-    _provisional: set[_Pair] = field(default_factory=set)
-    """Pairs of which something was told that is told again when it has ended: of others no encounter is told twice."""
+    _to_come_again: set[_Pair] = field(default_factory=set)
+    """Pairs of which something is told again, when it has ended or its clock is known: of others no encounter is told twice."""
     _voided: set[tuple[BootId, int]] = field(default_factory=set)
     """Identities that became a part of another one, and whose last revision may not be on disk yet: no more than wait for the disk."""
     _voided_before: set[tuple[BootId, int]] = field(default_factory=set)
@@ -90,8 +91,8 @@ class EncounterMerger:
         if report.period_ns and not report.is_ongoing:
             self._learn(meetings[-1] if meetings else None, report)
         begin, end = _overlap(meetings, report.t_start_ns - report.margin_ns, report.t_end_ns + report.margin_ns)
-        if report.is_ongoing or pair in self._provisional:
-            self._provisional.add(pair)
+        if report.is_ongoing or pair in self._to_come_again:
+            self._to_come_again.add(pair)
             told = [one for at, one in enumerate(meetings) if has_told(one, report, is_near=begin <= at < end)]
             if told:
                 return self._gather(pair, meetings, report, told)
@@ -147,7 +148,11 @@ class EncounterMerger:
             meetings.insert(at, meeting)
             self._order.append((pair, meeting))
             if record.is_ongoing:
-                self._provisional.add(pair)
+                self._to_come_again.add(pair)
+
+    def expect_again(self, node: NodeId, peer: NodeId) -> None:
+        """Say that what is told of a pair now is to be told again, by a clock that is known better."""
+        self._to_come_again.add((node, peer) if node < peer else (peer, node))
 
     def settle_voided(self) -> None:
         """Say that all that was told of before the last time this was said is on disk: the journal now tells itself what is void."""
@@ -188,7 +193,7 @@ class EncounterMerger:
                     break
             if not meetings:
                 self._meetings.pop(pair, None)
-                self._provisional.discard(pair)
+                self._to_come_again.discard(pair)
         return not n_left and bool(order) and order[0][1].cover_end_ns < t_ns
 
     def __len__(self) -> int:

@@ -317,6 +317,7 @@ class Intake:
                 is_newest = header.boot == node.boot and self._nodes.take_status(node, uplink, number=number)
                 report = self._mode_report(uplink, header=header, clock=clock)
                 records = () if report is None else self._take_mode(report, node=node)
+                records += tuple(self._reports.take((), node=node, boot=header.boot, sent_ms=header.sent_ms, clock=clock))
                 return records, self._tell_status(node) if is_newest else None
             case Neighbours():
                 wall_ns = node.last_heard_wall_ns

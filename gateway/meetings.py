@@ -285,13 +285,13 @@ def has_told(meeting: Meeting, report: SideReport, *, is_near: bool) -> bool:
 
 
 def date_alike(meeting: Meeting, report: SideReport) -> SideReport:
-    """Move what is dated worse, the encounter or the report of it that ``has_told`` found, to where the other has it; return the report.
+    """Move what is dated worse, the report or the side that ``has_told`` found, to where the other has it; return the report.
 
-    What the other biobot has told of the encounter is dated by another clock: then both stay.
+    Where the other biobot has told of the encounter too, by another clock, the time that it covers stays.
     """
     is_a = report.node < report.peer
     side, peers = (meeting.side_a, meeting.side_b) if is_a else (meeting.side_b, meeting.side_a)
-    if peers is not None or side is None or isinstance(side.own_clock, UnsetType) or isinstance(report.own_clock, UnsetType):
+    if side is None or isinstance(side.own_clock, UnsetType) or isinstance(report.own_clock, UnsetType):
         return report
     later_ns = (report.own_clock.start_ms - side.own_clock.start_ms) * NS_PER_MS - (report.t_start_ns - side.t_start_ns)
     error_ns = side.error_ns or Nanoseconds(0)
@@ -300,8 +300,9 @@ def date_alike(meeting: Meeting, report: SideReport) -> SideReport:
         return replace(report, t_start_ns=Nanoseconds(start_ns), t_end_ns=Nanoseconds(end_ns), error_ns=error_ns)
     start_ns, end_ns = side.t_start_ns - later_ns, side.t_end_ns - later_ns
     moved = replace(side, t_start_ns=Nanoseconds(start_ns), t_end_ns=Nanoseconds(end_ns), error_ns=report.error_ns)
-    meeting.cover_start_ns -= later_ns
-    meeting.cover_end_ns -= later_ns
+    if peers is None:
+        meeting.cover_start_ns -= later_ns
+        meeting.cover_end_ns -= later_ns
     if is_a:
         meeting.side_a, meeting.final_end_a_ns = moved, meeting.final_end_a_ns - later_ns
     else:

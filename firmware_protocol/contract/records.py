@@ -53,7 +53,7 @@ class Struct(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 
 
 class OwnSpan(msgspec.Struct, frozen=True, gc=False, array_like=True):
-    """What a backpack reports on its own clock, the same whenever and to whom it is told; no tuple, for the garbage collector watches those."""
+    """What a backpack reports on its own clock, the same whenever and to whom it is told; no tuple: collectors of garbage watch those."""
 
     boot: BootId
     """Count of the backpack's starts; its clock begins at 0 with each."""

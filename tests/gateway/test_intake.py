@@ -19,6 +19,7 @@ from firmware_protocol.messages import (
     Status,
     StimulateReply,
     StimulationResult,
+    TimeSyncReply,
     Uplink,
     UplinkHeader,
     WireCause,
@@ -46,6 +47,7 @@ class _Desk:
 
     intake: Intake
     nodes: NodeBook
+    clocks: ClockBook
     journal: Journal
     health: Health
     committed: list[int] = field(default_factory=list)
@@ -73,18 +75,18 @@ def _with_desk(path: Path, story: Callable[[_Desk], Awaitable[None]]) -> None:
     async def run() -> None:
         health = Health()
         journal = Journal.open(path, health=health)
-        reader, nodes = journal.reader(), NodeBook(gateway="g")
+        reader, nodes, clocks = journal.reader(), NodeBook(gateway="g"), ClockBook(window_ns=600 * NS_PER_S)
         intake = Intake(
             issuer=RecordIssuer(gateway="g", journal=journal.journal_id, boot=journal.boot, wall_anchor_ns=journal.identity.wall_anchor_ns),
             journal=journal,
             reader=reader,
             nodes=nodes,
-            clocks=ClockBook(window_ns=600 * NS_PER_S),
+            clocks=clocks,
             health=health,
             config=EncounterTable(window_s=60),
             now_ns=time.monotonic_ns(),
         )
-        desk = _Desk(intake=intake, nodes=nodes, journal=journal, health=health)
+        desk = _Desk(intake=intake, nodes=nodes, clocks=clocks, journal=journal, health=health)
         intake.connect(
             IntakeListeners(
                 on_committed=desk.committed.append,
@@ -229,6 +231,29 @@ def test_a_late_encounter_of_a_pair_whose_records_are_damaged_is_taken(tmp_path:
         damaged = records[:8] + b"\xc1" + records[9:]  # an octet that MessagePack never uses
         connection.execute("UPDATE contents SET records = ? WHERE segment = ?", (damaged, segment))
     _with_desk(tmp_path / "j", after)
+
+
+def test_what_was_told_before_a_clock_was_known_is_dated_anew_when_it_is(tmp_path: Path) -> None:
+    """All comes 4 s late until the time is asked: twice as late as is assumed of the fastest. A status brings the right date."""
+
+    async def story(desk: _Desk) -> None:
+        running = asyncio.ensure_future(desk.journal.run())
+        desk.take(_a_hello(1), sequence=0, sent_ms=100_000, late_s=4)
+        desk.take(_a_batch(peer=9, start_ms=95_000), sequence=1, sent_ms=161_000, late_s=65)
+        asked_ns = _BEGUN_NS + 62 * NS_PER_S
+        token = desk.clocks.begin_exchange(node=NodeId(7), now_ns=asked_ns)
+        desk.take(TimeSyncReply(token=token, received_ms=Milliseconds(162_000)), sequence=0, sent_ms=162_000, late_s=62)
+        for sequence in (2, 3):
+            desk.take(_a_status(WireMode.S, since_ms=90_000), sequence=sequence, sent_ms=163_000 + sequence, late_s=64)
+        await desk.journal.drain()
+        with contextlib.closing(desk.journal.reader()) as reader:
+            records = list(reader.read_encounters(from_wall_ns=0, to_wall_ns=(1 << 63) - 1))
+        late_ns = [record.sides[0].t_start_ns - _BEGUN_NS - (95 - 100) * NS_PER_S for record in records]
+        assert [(record.revision, round(late / NS_PER_S)) for record, late in zip(records, late_ns, strict=True)] == [(0, 4), (1, 0)]
+        assert [abs(late) <= (record.sides[0].error_ns or 0) for record, late in zip(records, late_ns, strict=True)] == [False, True]
+        running.cancel()
+
+    _with_desk(tmp_path / "j", story)
 
 
 def test_a_message_at_whose_records_the_gateway_fails_is_on_disk_before_it_is_acknowledged(tmp_path: Path) -> None:
