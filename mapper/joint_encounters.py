@@ -12,7 +12,7 @@ taken together: the middle of what all of them allow, which is what one gateway 
 records that are dated badly are put where the same ticks are by a clock that is known better (`mapper.dating`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count
 
@@ -34,6 +34,7 @@ _ON_SITES_CLOCK = 2
 
 _Key = tuple[int, int, int]
 """Two ids and an axis."""
+_Span = tuple[_Key, int, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,20 +86,20 @@ class JointEncounters:
         rows = told.rows
         touched = set(rows.row.tolist())
         known = rows.row[rows.row < self._columns.shape[1]]
-        for row in known[self._columns[_COUNTS, known] == 1].tolist():
-            for key, begin, _ in self._spans_of(row):
+        for row, spans in self._spans_of(known[self._columns[_COUNTS, known] == 1]):
+            for key, begin, _ in spans:
                 self._spans[key].remove(begin, row)
             self._part(row, touched)
         self._put(told)
-        for row in rows.row[rows.counts].tolist():
-            for key, begin, end in self._spans_of(row):
+        for row, spans in self._spans_of(rows.row[rows.counts]):
+            for key, begin, end in spans:
                 self._spans.setdefault(key, PairSpans()).insert(begin, end, row)
         waiting = np.fromiter(touched, dtype=np.int64, count=len(touched))
         done: set[int] = set()
-        for row in waiting[self._columns[_COUNTS, waiting] == 1].tolist():
+        for row, spans in self._spans_of(waiting[self._columns[_COUNTS, waiting] == 1]):
             if row in done:
                 continue
-            piece = self._piece(row)
+            piece = self._piece(row, spans)
             if len(piece) == 1:
                 continue
             for one in piece:
@@ -138,30 +139,38 @@ class JointEncounters:
             ]
         )
 
-    def _piece(self, row: int) -> list[int]:
-        """Return all rows that are connected with a row, and itself."""
+    def _piece(self, row: int, spans: list[_Span]) -> list[int]:
+        """Return all rows that are connected with a row, and itself; ``spans`` are where it is to be found."""
         found, known = [row], {row}
-        for one in found:
-            for key, begin, end in self._spans_of(one):
-                spans, (*_, axis) = self._spans[key], key
-                near = spans.overlapping(begin, end)
-                if axis != _ON_SITES_CLOCK and len(near) > 1:
-                    zero = self._columns[_OWN + 4 * axis + 2, near]
-                    near = np.array(near)[np.abs(zero - self._columns[_OWN + 4 * axis + 2, one]) <= SAME_LIFE_NS].tolist()
+        looked_at = 0
+        while looked_at < len(found):
+            if looked_at:
+                ((_, spans),) = self._spans_of(np.array([found[looked_at]]))
+            for key, begin, end in spans:
+                near = self._spans[key].overlapping(begin, end)
+                if len(near) == 1:
+                    continue
+                if key[2] != _ON_SITES_CLOCK:
+                    zero = self._columns[_OWN + 4 * key[2] + 2]
+                    near = [other for other in near if abs(int(zero[other]) - int(zero[found[looked_at]])) <= SAME_LIFE_NS]
                 fresh = [other for other in near if other not in known]
                 found += fresh
                 known.update(fresh)
+            looked_at += 1
         return found
 
-    def _spans_of(self, row: int) -> list[tuple[_Key, int, int]]:
-        """Return where a row is to be found: on the site's clock, and on each own clock that was told."""
-        begin, end, low, high, _, margin, _, _, first, last, _, _, first_b, last_b, _, _ = self._columns[:, row].tolist()
-        spans = [((low, high, _ON_SITES_CLOCK), begin - margin, end + margin)]
-        if first >= 0:
-            spans.append(((low, high, 0), first, last))
-        if first_b >= 0:
-            spans.append(((low, high, 1), first_b, last_b))
-        return spans
+    def _spans_of(self, rows: IntArray) -> Iterator[tuple[int, list[_Span]]]:
+        """Yield rows and where each is to be found: on the site's clock, and on each own clock that was told."""
+        columns = self._columns[:, rows].T.tolist()
+        for row, (begin, end, low, high, _, margin, _, _, first, last, _, _, first_b, last_b, _, _) in zip(
+            rows.tolist(), columns, strict=True
+        ):
+            spans: list[_Span] = [((low, high, _ON_SITES_CLOCK), begin - margin, end + margin)]
+            if first >= 0:
+                spans.append(((low, high, 0), first, last))
+            if first_b >= 0:
+                spans.append(((low, high, 1), first_b, last_b))
+            yield row, spans
 
     def _put(self, told: ToldRows) -> None:
         rows = told.rows

@@ -23,7 +23,7 @@ ZEROS: Final = [2, 6]
 
 PLACES_A_LIFE: Final = 1 << 32
 _MAX_BOOT: Final = 0xFFFF
-_NOT_TOLD: Final = (-1, -1, 0, 0)
+_MAX_INTEGER: Final = 2**63
 _MAX_WALL_NS: Final = 2**62
 _MAX_ERROR_NS: Final = 40_000_000_000
 
@@ -58,22 +58,37 @@ class SidedRecord(Protocol):
 
 def make_own_spans(records: Sequence[SidedRecord]) -> IntArray:
     """Return `N_NUMBERS` rows of numbers, shape (8, m); a side whose numbers cannot be meant counts as not told."""
+    spans = np.zeros((2, 4, len(records)), dtype=np.int64)
+    spans[:, :2] = -1
     told = [
-        (*_numbers_of(record, min(record.node_a, record.node_b)), *_numbers_of(record, max(record.node_a, record.node_b)))
-        for record in records
+        (place, int(side.node != low), own.boot, own.start_ms, own.end_ms, side.t_start_ns, record.wall_anchor_ns, error)
+        for place, record in enumerate(records)
+        for low, high in (_in_order(record.node_a, record.node_b),)
+        for side in record.sides
+        if (own := side.own_clock) is not msgspec.UNSET and side.node in {low, high}
+        for error in (record.error_ns if side.error_ns is None else side.error_ns,)
     ]
-    return np.array(told, dtype=np.int64).reshape(-1, N_NUMBERS).T
+    if told:
+        try:
+            numbers = np.array(told, dtype=np.int64).T
+        except OverflowError:
+            numbers = np.array([one for one in told if max(map(abs, one)) < _MAX_INTEGER], dtype=np.int64).reshape(-1, 8).T
+        _put(numbers, into=spans)
+    return spans.reshape(N_NUMBERS, -1)
 
 
-def _numbers_of(record: SidedRecord, node: int) -> tuple[int, int, int, int]:
-    for side in record.sides:
-        own = side.own_clock
-        if side.node != node or isinstance(own, msgspec.UnsetType):
-            continue
-        boot, start_ms, end_ms = own.boot, own.start_ms, own.end_ms
-        start_ns = side.t_start_ns + record.wall_anchor_ns
-        if 0 <= boot <= _MAX_BOOT and 0 <= start_ms <= end_ms and start_ms < PLACES_A_LIFE and 0 <= start_ns < _MAX_WALL_NS:
-            error_ns = record.error_ns if side.error_ns is None else side.error_ns
-            first, last = (boot * PLACES_A_LIFE + min(ms, PLACES_A_LIFE - 1) for ms in (start_ms, end_ms))
-            return first, last, start_ns - start_ms * NS_PER_MS, max(0, min(error_ns, _MAX_ERROR_NS))
-    return _NOT_TOLD
+def _in_order(one: int, other: int) -> tuple[int, int]:
+    return (one, other) if one < other else (other, one)
+
+
+def _put(numbers: IntArray, *, into: IntArray) -> None:
+    """Put what can be meant where it belongs."""
+    place, axis, boot, start_ms, end_ms, start_ns, anchor_ns, error_ns = numbers
+    begin_ns = start_ns.astype(np.float64) + anchor_ns  # as floats: a sum of any two numbers does not overflow
+    is_meant = (boot >= 0) & (boot <= _MAX_BOOT) & (start_ms >= 0) & (start_ms <= end_ms) & (start_ms < PLACES_A_LIFE)
+    is_meant &= (begin_ns >= 0) & (begin_ns < _MAX_WALL_NS)
+    place, axis, boot, start_ms, end_ms, start_ns, anchor_ns, error_ns = numbers[:, is_meant]
+    first, last = (boot * PLACES_A_LIFE + np.minimum(ms, PLACES_A_LIFE - 1) for ms in (start_ms, end_ms))
+    zero_ns = start_ns + anchor_ns - start_ms * NS_PER_MS
+    for number, values in enumerate((first, last, zero_ns, np.clip(error_ns, 0, _MAX_ERROR_NS))):
+        into[axis, number, place] = values

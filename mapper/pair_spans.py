@@ -42,6 +42,8 @@ class PairSpans:
     def overlapping(self, begin: int, end: int) -> list[int]:
         """Return the rows of the spans that have an instant in common with a span, both ends included."""
         first, last = bisect_left(self.begins, begin - self.longest), bisect_right(self.begins, end)
+        if last - first == 1:
+            return [self.rows[first]] if self.ends[first] >= begin else []
         return [row for row, until in zip(self.rows[first:last], self.ends[first:last], strict=True) if until >= begin]
 
 
