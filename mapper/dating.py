@@ -7,7 +7,7 @@ is wrong, and not set right yet), the one is believed: the other is moved to whe
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from mapper.own_spans import PLACES_A_LIFE, ZEROS
 
@@ -29,10 +29,21 @@ class DatedRecord:
     gateway: str
     own: tuple[int, ...]
 
-    def side(self, axis: int) -> tuple[int, int, int] | None:
-        """Return the life, when its clock showed 0 and how wrong that may be [ns]; None: the side was not told."""
-        first, _, zero, error = self.own[4 * axis : 4 * axis + 4]
-        return None if first < 0 else (first // PLACES_A_LIFE, zero, error)
+    def sides(self) -> "list[_Side | None]":
+        """Return how each of the two dates it; None: it has not told, or on no own clock."""
+        by_axis = (self.own[:4], self.own[4:])
+        return [_Side(first // PLACES_A_LIFE, zero, error) if first >= 0 else None for first, _, zero, error in by_axis]
+
+
+class _Side(NamedTuple):
+    """The life of a backpack, when its clock showed 0 [ns] and how wrong that may be [ns]."""
+
+    life: int
+    zero: int
+    error: int
+
+    def is_of_life_of(self, other: "_Side") -> bool:
+        return self.life == other.life and abs(self.zero - other.zero) <= SAME_LIFE_NS
 
 
 def agree(records: Iterable[DatedRecord]) -> tuple[int, int]:
@@ -46,33 +57,30 @@ def agree(records: Iterable[DatedRecord]) -> tuple[int, int]:
 
 def _trust(record: DatedRecord) -> tuple[int, str, int, int, tuple[int, ...]]:
     """Order records by how well their worse side is dated, all that are dated well alike."""
-    worst = max(side[2] if (side := record.side(axis)) else 0 for axis in (0, 1))
+    worst = max((side.error for side in record.sides() if side is not None), default=0)
     return (worst if worst > _SETTLED_NS else 0), record.gateway, record.begin, record.end, record.own
 
 
 def _move(record: DatedRecord, placed: Sequence[DatedRecord]) -> DatedRecord:
     """Put a record where the first of those that are better known has it, if it may be wrong or is."""
-    sides = [record.side(axis) for axis in (0, 1)]
-    if any(side is not None and side[2] > _SETTLED_NS for side in sides) and any(
-        side is not None and side[2] <= _SETTLED_NS for side in sides
-    ):
+    sides = record.sides()
+    is_known = {side.error <= _SETTLED_NS for side in sides if side is not None}
+    if len(is_known) > 1:
         return record  # its better side dates it
     for other in placed:
-        for axis, side in enumerate(sides):
-            theirs = other.side(axis)
-            if side is None or theirs is None or side[0] != theirs[0] or abs(side[1] - theirs[1]) > SAME_LIFE_NS:
+        for side, theirs in zip(sides, other.sides(), strict=True):
+            if side is None or theirs is None or not side.is_of_life_of(theirs):
                 continue
-            later, error = theirs[1] - side[1], side[2]
-            if not (error > max(_SETTLED_NS, theirs[2]) or abs(later) > 2 * _SETTLED_NS + error + theirs[2]):
-                continue
-            own = tuple(number + later if place in ZEROS else number for place, number in enumerate(record.own))
-            return DatedRecord(
-                begin=record.begin + later,
-                end=record.end + later,
-                error=max(0, record.error - error) + min(error, theirs[2]),
-                gateway=record.gateway,
-                own=own,
-            )
+            later = theirs.zero - side.zero
+            may_be_wrong = side.error > max(_SETTLED_NS, theirs.error)
+            if may_be_wrong or abs(later) > 2 * _SETTLED_NS + side.error + theirs.error:
+                return DatedRecord(
+                    begin=record.begin + later,
+                    end=record.end + later,
+                    error=max(0, record.error - side.error) + min(side.error, theirs.error),
+                    gateway=record.gateway,
+                    own=tuple(number + later if place in ZEROS else number for place, number in enumerate(record.own)),
+                )
     return record
 
 
