@@ -9,14 +9,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from mapper.own_spans import PLACES_A_LIFE, ZEROS
+from mapper.own_spans import PLACES_A_LIFE, SETTLED_NS, ZEROS
 
 SAME_LIFE_NS: Final = 86_400_000_000_000
 """Two gateways' wall clocks tell the begin of one life of a backpack no further apart [ns]; a count of starts that was lost and begins
 anew gives other lives the same numbers."""
-
-_SETTLED_NS: Final = 100_000_000
-"""A biobot's clock that is known so well is believed, as `gateway.clocks` has it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,13 +55,13 @@ def agree(records: Iterable[DatedRecord]) -> tuple[int, int]:
 def _trust(record: DatedRecord) -> tuple[int, str, int, int, tuple[int, ...]]:
     """Order records by how well their worse side is dated, all that are dated well alike."""
     worst = max((side.error for side in record.sides() if side is not None), default=0)
-    return (worst if worst > _SETTLED_NS else 0), record.gateway, record.begin, record.end, record.own
+    return (worst if worst > SETTLED_NS else 0), record.gateway, record.begin, record.end, record.own
 
 
 def _move(record: DatedRecord, placed: Sequence[DatedRecord]) -> DatedRecord:
     """Put a record where the first of those that are better known has it, if it may be wrong or is."""
     sides = record.sides()
-    is_known = {side.error <= _SETTLED_NS for side in sides if side is not None}
+    is_known = {side.error <= SETTLED_NS for side in sides if side is not None}
     if len(is_known) > 1:
         return record  # its better side dates it
     for other in placed:
@@ -72,8 +69,8 @@ def _move(record: DatedRecord, placed: Sequence[DatedRecord]) -> DatedRecord:
             if side is None or theirs is None or not side.is_of_life_of(theirs):
                 continue
             later = theirs.zero - side.zero
-            may_be_wrong = side.error > max(_SETTLED_NS, theirs.error)
-            if may_be_wrong or abs(later) > 2 * _SETTLED_NS + side.error + theirs.error:
+            may_be_wrong = side.error > max(SETTLED_NS, theirs.error)
+            if may_be_wrong or abs(later) > 2 * SETTLED_NS + side.error + theirs.error:
                 return DatedRecord(
                     begin=record.begin + later,
                     end=record.end + later,

@@ -21,6 +21,12 @@ clock [ns], and how wrong that may be [ns]."""
 ZEROS: Final = [2, 6]
 """Which of them are instants."""
 
+ERRORS: Final = [3, 7]
+"""Which of them are errors; 0 where nothing was told."""
+
+SETTLED_NS: Final = 100_000_000
+"""A biobot's clock that is known so well is believed, as `gateway.clocks` has it."""
+
 PLACES_A_LIFE: Final = 1 << 32
 _MAX_BOOT: Final = 0xFFFF
 _MAX_INTEGER: Final = 2**63

@@ -17,7 +17,7 @@ from mapper.gateway_clocks import GatewayClocks, Source, SourceClock
 from mapper.joint_encounters import JointEncounters, ToldRows
 from mapper.log import EventLog
 from mapper.mode_spells import ModeSpells
-from mapper.own_spans import N_NUMBERS, ZEROS
+from mapper.own_spans import ERRORS, N_NUMBERS, SETTLED_NS, ZEROS
 from mapper.record_columns import (
     MAX_WALL_NS,
     EncounterColumns,
@@ -196,12 +196,13 @@ class SiteView:
 
     def _read(self, rows: IntArray) -> SampledRows:
         begin, end, _, _, counts, _, source, is_final, _ = self._raw[:_OWN, rows]
+        is_dated_well = (self._raw[_OWN:, rows][ERRORS] <= SETTLED_NS).all(axis=0)  # badly dated ones are all late
         return SampledRows(
             source=source,
             pair=self._pairs(rows),
             middle_ns=(begin + end) // 2,
             length_ns=end - begin,
-            is_usable=(counts == 1) & (is_final == 1),
+            is_usable=(counts == 1) & (is_final == 1) & is_dated_well,
         )
 
     def _gateways_of(self, rows: IntArray) -> IntArray:

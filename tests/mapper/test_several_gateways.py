@@ -185,6 +185,22 @@ def test_clocks_that_agree_within_what_can_be_known_are_left_alone() -> None:
         assert [(clock.is_corrected, clock.n_votes) for clock in store.clocks] == [(False, 0), (False, len(what))]
 
 
+def test_records_that_are_dated_badly_have_no_vote_on_a_gateways_clock() -> None:
+    """Two thirds of what south tells come 0.9 s late, and say so."""
+    what = meetings(300, seed=4)
+    with closing(Store(None)) as store:
+        store.apply(batches(heard(what, gateway="north")))
+        for number, good in enumerate(heard(what, gateway="south")):
+            t_ns = (good.t_start_ns + 900_000_000, good.t_end_ns + 900_000_000)
+            told = own(good.t_start_ns // 1_000_000, good.t_end_ns // 1_000_000)
+            side = a_side(good.node_a, told, t_ns=t_ns, error_ns=950_000_000)
+            record = msgspec.structs.replace(good, t_start_ns=Nanoseconds(t_ns[0]), t_end_ns=Nanoseconds(t_ns[1]), sides=(side,))
+            store.apply(batches([record if number % 3 else good]))
+        store.delta(after=0)
+        (south,) = [clock for clock in store.clocks if clock.source.gateway == "south"]
+    assert (south.offset_ns, south.n_votes) == (0, len(what[::3]))
+
+
 def test_chance_meetings_of_two_gateways_say_nothing_of_their_clocks() -> None:
     with closing(Store(None)) as store:
         store.apply(batches(heard(meetings(900, seed=5, n_pairs=9), gateway="north")))
