@@ -31,7 +31,7 @@ class Ledger:
     n_records: int
     """Encounters in the mapper's store that count, each once, however many records tell of it."""
     missing: tuple[Place, ...]
-    """Reports that are in no encounter."""
+    """Reports that are in no encounter; of those that no gateway acknowledged before the swarm's end, with none at their time either."""
     doubled: tuple[Place, ...]
     """Encounters that more than one in the store stands for; not a number: one that nobody reported."""
     misdated: tuple[Place, ...] = ()
@@ -49,6 +49,7 @@ class _Report:
     life: int
     ticks: tuple[int, int] | None
     interval: Interval
+    is_acknowledged: bool
 
 
 @dataclass(slots=True, kw_only=True)
@@ -90,9 +91,9 @@ def check_ledger(truth_directory: Path, records: Iterable[Mapping[str, Any]]) ->
         here = stored.get(pair, [])
         for report in told:
             found = [place for place, one in enumerate(here) if one.has(report)]
-            if not found:
+            if not found and (report.is_acknowledged or not any(one.is_at(report) for one in here)):
                 missing.append((*pair, report.interval[0]))
-            elif not any(here[place].is_at(report) for place in found):
+            elif found and not any(here[place].is_at(report) for place in found):
                 misdated.append((*pair, report.interval[0]))
             if report.ticks is not None:
                 stands_for[pair, _most_overlapped(truth.get(pair, []), report.interval)].update(
@@ -144,7 +145,8 @@ def _read_reports(path: Path) -> dict[Pair, list[_Report]]:
         for row in csv.DictReader(lines):
             ticks = (int(row["start_ms"]), int(row["end_ms"])) if row.get("start_ms") else None
             interval = (float(row["t_start_s"]), float(row["t_end_s"]))
-            report = _Report(node=int(row["node"]), life=int(row["boot"]), ticks=ticks, interval=interval)
+            is_acknowledged = row["is_acknowledged"] == "1"
+            report = _Report(node=int(row["node"]), life=int(row["boot"]), ticks=ticks, interval=interval, is_acknowledged=is_acknowledged)
             reports[_pair(row["node"], row["peer"])].append(report)
     return reports
 

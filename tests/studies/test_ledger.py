@@ -111,3 +111,15 @@ def test_of_reports_of_two_starts_in_one_encounter_those_whose_ticks_are_not_tol
     of_next_start = record(1, 2, 3, 4, ticks={3: (0, 100), 4: (1000, 2000)})
     of_next_start["own_clocks"][0]["boot"] = 2
     assert not check_ledger(directory, [of_next_start]).missing
+
+
+def test_of_a_report_that_no_gateway_has_acknowledged_it_is_enough_that_the_encounter_is_there(tmp_path: Path) -> None:
+    """The swarm ended before it came through."""
+    directory = truth_with_ticks(tmp_path, [(1, 2, 3, 4), (5, 6, 3, 4)])
+    path = directory / "reported.csv"
+    header, first, of_4, *others = path.read_text().splitlines()
+    path.write_text(
+        "\n".join([header, first, of_4.replace(",0,1,1000", ",0,0,1000"), *(one.replace(",0,1,5000", ",0,0,5000") for one in others)])
+    )
+    one_sided = [record(1, 2, 3, 4, ticks={3: (1000, 2000)})]
+    assert check_ledger(directory, one_sided).missing == ((3, 4, 5.0), (3, 4, 5.0))
