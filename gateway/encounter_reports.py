@@ -34,8 +34,8 @@ _ABSENT_AFTER_NS = 120 * NS_PER_S
 _MAX_BROUGHT_BACK = 20_000
 """Encounters that are brought back together after a start: a fifth of a second. Of more than these, only the latest."""
 
-_MAX_BADLY_DATED, _MAX_LIVES_BADLY_DATED = 256, 4_096
-"""So many reports of so many starts of backpacks are dated anew when the clock is known; of more, the first dates stay."""
+_MAX_BADLY_DATED, _MAX_LIVES_BADLY_DATED = 256, 256
+"""So many reports of so many starts of backpacks are dated anew when the clock is known, 10 MB at most; of more, the first dates stay."""
 
 _BEFORE_ALL_NS, _AFTER_ALL_NS = -(1 << 62), (1 << 63) - 1
 
