@@ -117,6 +117,8 @@ class ModeRecord(RecordHead, frozen=True, kw_only=True, tag="mode"):
     t_start_ns: Nanoseconds
     t_end_ns: Nanoseconds | None
     error_ns: Nanoseconds
+    is_halted: bool = False
+    """It stands because all were stopped, and was not told to by itself: no landmark."""
 
 
 class LandmarkCluster(Struct, frozen=True, kw_only=True):
