@@ -133,8 +133,17 @@ def _stands_by_command(since_ms: int = 60_000) -> ModeReport:
         (60_100, 62_000, False),
         (60_100, 5_000, True),
     ],
-    ids=["at once", "its clock is late", "at a repetition", "a landmark before", "told so later", "told alone before", "told alone after", "told alone once, walked since"],
-)  # fmt: skip
+    ids=[
+        "at once",
+        "clock is late",
+        "at a repetition",
+        "landmark",
+        "told so later",
+        "alone before",
+        "alone after",
+        "alone once, walked since",
+    ],
+)
 def test_who_stands_because_all_were_stopped_is_halted(stood_ms: int, alone_ms: int | None, is_halted: bool) -> None:
     """It is the gateway that knows it, and the record that keeps it: for maps of any time, after any restart."""
     tracker = ModeTracker(issuer=an_issuer())
