@@ -31,7 +31,7 @@ def told(first: int, *, row: int, gateway: int, n_pairs: int) -> ToldRows:
 
 @pytest.mark.parametrize(("n_pairs", "most"), [(N_MEETINGS, 300), (64, 250)], ids=["all met once", "a few met often"])
 def test_a_record_of_two_gateways_takes_few_bytes(n_pairs: int, most: int) -> None:
-    """Columns take 88 bytes, and as much again in spare; a cover 24, and a pair's object and place about 200. Objects for each took 335 to 620."""
+    """Columns take 88 bytes, and as much again in spare; a cover 24, and a pair's object and place 200."""
     pieces = [
         told(first, row=1 + 2 * first + gateway * PIECE, gateway=gateway, n_pairs=n_pairs)
         for first in range(0, N_MEETINGS, PIECE)
