@@ -77,6 +77,7 @@ for candidate in ${python:-python3 python3.14 python3.13 python3.12 python3.11};
   fi
   told=$("$candidate" -I -c "$tell" "$(cat "$here/GLIBC")" 2>/dev/null) || told="no: it does not start"
   case $told in
+    '') why="$why $candidate: it is no Python;"; continue ;;
     no:*) why="$why $candidate: ${told#no: };"; continue ;;
     *) [ -f "$here/requirements/$told.txt" ] || { why="$why $candidate: this bundle has nothing for Python ${told%%-*} on ${told#*-};"; continue; } ;;
   esac
