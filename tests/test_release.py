@@ -18,6 +18,7 @@ import pytest
 import gateway.__main__
 import mapper.__main__
 import simulator.__main__
+from scripts.release import reproducible
 from scripts.release.bundle import pack, room_needed
 from scripts.release.elf import libraries_of, wheel_faults
 from scripts.release.lock_file import MACHINES, PYTHONS, Pin, Target, pins_for, read_lock
@@ -192,6 +193,28 @@ def test_packing_the_same_folder_twice_makes_the_same_octets(tmp_path: Path) -> 
     os.utime(tree / "a.txt", (1, 1))
     pack(tree, tmp_path / "two.tar")
     assert (tmp_path / "one.tar").read_bytes() == (tmp_path / "two.tar").read_bytes()
+
+
+@pytest.mark.campaign
+def test_what_is_released_is_the_same_whoever_makes_it_wherever_and_whenever(capsys: pytest.CaptureFixture[str]) -> None:
+    """sdist, wheel and bill of materials; `make reproducible` has the others, which want a network."""
+    status, told = reproducible.main(["--ours"]), capsys.readouterr().out
+    assert status == 0, told
+    assert [line.split()[0] for line in told.splitlines() if "biobot_gateway-" in line or "sbom" in line] == ["same"] * 4
+
+
+def test_what_differs_between_two_makings_is_found(tmp_path: Path) -> None:
+    told: list[str] = []
+    for name, text in (("a", "one"), ("b", "two")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "same.json").write_text("{}")
+        with zipfile.ZipFile(tmp_path / name / "x.whl", "w") as wheel:
+            wheel.writestr(zipfile.ZipInfo("package/same.py"), "")
+            wheel.writestr(zipfile.ZipInfo("package/differs.py"), text)
+    (tmp_path / "a" / "only-one").write_text("")
+    assert reproducible.compare(tmp_path / "a", tmp_path / "b", say=told.append) == 2
+    assert [line.split()[0] for line in told if not line.startswith(" ")] == ["DIFFERS", "same", "DIFFERS"]
+    assert "         in package/differs.py" in told
 
 
 def test_where_a_release_is_tried_there_is_no_network_but_loopback() -> None:

@@ -117,7 +117,7 @@ def room_needed(wheels: Path, requirements: Path) -> int:
 
     Files fill blocks of 4096 octets, and the environment itself is small.
     """
-    sizes = {}
+    sizes: dict[str, int] = {}
     for wheel in wheels.iterdir():
         with zipfile.ZipFile(wheel) as content:
             blocks = [(entry.filename, -(-entry.file_size // 4096) * 4096) for entry in content.infolist()]

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import tomllib
@@ -19,6 +20,7 @@ from gateway.installation.plan import plan_installation, plan_removal
 from gateway.installation.record import read_record
 from mapper.__main__ import main as mapper_main
 
+SOURCE = Path(__file__).parents[2]
 ALL = "gateway,mapper,router"
 UNITS = Path("etc/systemd/system")
 
@@ -237,6 +239,27 @@ def test_folders_that_were_made_for_the_programs_go_with_them(root: Path) -> Non
     install(root, programs="/opt/biobot/2")
     assert uninstall(root) == 0
     assert tree_of(root) == before
+
+
+def test_make_uninstall_takes_all_out_of_an_image_and_what_an_interrupted_installation_left_there(tmp_path: Path) -> None:
+    """scripts/services.sh: one version is recorded, one never came up, one was killed half way, which is all that the last one is."""
+    root = tmp_path / "image"
+    root.mkdir()
+    for version in ("1", "2", "3"):
+        programs = make_programs(root, version)
+        (programs / "bin" / "python").write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+        (programs / "bin" / "python").chmod(0o755)
+        (programs / "bin" / "biobot-gateway").chmod(0o755)
+        (programs / "folders-made").write_text("/opt\n/opt/biobot\n" if version == "1" else "")
+    (root / "opt/biobot/3/bin/biobot-gateway").unlink()
+    (root / "opt/biobot/.3.unfinished").write_text("999999999\n/opt/biobot\n")
+    install(root, programs="/opt/biobot/1")
+    environment = os.environ | {"DESTDIR": str(root), "PYTHONPATH": str(SOURCE)}
+    done = subprocess.run(
+        ["sh", str(SOURCE / "scripts" / "services.sh"), "uninstall"], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert tree_of(root) == {}
 
 
 def test_what_is_installed_can_be_read_by_the_services_whatever_the_umask(root: Path) -> None:
