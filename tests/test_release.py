@@ -25,6 +25,7 @@ from scripts.release.lock_file import MACHINES, PYTHONS, Pin, Target, pins_for, 
 from scripts.release.machines import Machine, MachineError
 from scripts.release.sbom import NOT_SHIPPED, REQUIRED, make_sbom
 from scripts.release.version import ROOT, read_version
+from scripts.release.wheels import make_sdist
 from tests.mapper.worlds import NS, walk_track
 
 pytestmark = pytest.mark.xdist_group("release")
@@ -193,6 +194,15 @@ def test_packing_the_same_folder_twice_makes_the_same_octets(tmp_path: Path) -> 
     os.utime(tree / "a.txt", (1, 1))
     pack(tree, tmp_path / "two.tar")
     assert (tmp_path / "one.tar").read_bytes() == (tmp_path / "two.tar").read_bytes()
+
+
+def test_sources_are_packed_into_a_folder_that_is_named_from_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are packed, and wheels built, by processes in other folders; before Python 3.12 temporary folders may have relative names."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    sdist = make_sdist(Path("out"))
+    assert sdist == Path("out") / f"biobot_gateway-{read_version()}.tar.gz"
+    assert sdist.is_file()
 
 
 @pytest.mark.campaign

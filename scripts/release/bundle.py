@@ -45,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     targets = [Target(python=python, machine=machine) for machine in options.machine for python in options.python]
     options.out.mkdir(parents=True, exist_ok=True)
+    # Wheels are built in other folders than this one.
+    options.out = options.out.resolve()
     with tempfile.TemporaryDirectory(dir=options.out, prefix=".bundle-") as place:
         try:
             tree = assemble(targets, Path(place))

@@ -25,7 +25,7 @@ class ReleaseError(Exception):
 def make_sdist(folder: Path) -> Path:
     """Make the sdist of this source tree in a folder, and return its path."""
     code = "import sys; from hatchling.build import build_sdist; print(build_sdist(sys.argv[1]))"
-    return folder / _run([sys.executable, "-c", code, str(folder)], cwd=ROOT).splitlines()[-1]
+    return folder / _run([sys.executable, "-c", code, str(folder.resolve())], cwd=ROOT).splitlines()[-1]
 
 
 def make_wheel(sdist: Path, *, machine: str, folder: Path) -> Path:
@@ -49,7 +49,7 @@ def make_wheel(sdist: Path, *, machine: str, folder: Path) -> Path:
             raise ReleaseError(f"no {compiler} to compile our kernels for {machine}: {next_step}")
         variables["CC"] = compiler
     code = "import sys; from hatchling.build import build_wheel; print(build_wheel(sys.argv[1]))"
-    made = folder / _run([sys.executable, "-c", code, str(folder)], cwd=source, **variables).splitlines()[-1]
+    made = folder / _run([sys.executable, "-c", code, str(folder.resolve())], cwd=source, **variables).splitlines()[-1]
     shutil.rmtree(tree)
     return made
 
