@@ -265,7 +265,7 @@ def expect_served(machine: Machine, services: Sequence[str] = SERVICES) -> None:
 def journal_head(machine: Machine) -> int:
     """Return how many records the gateway has written, ever."""
     said = machine.run("python3 -c \"import urllib.request as r; print(r.urlopen('http://127.0.0.1:9466/metrics').read().decode())\"")
-    found = re.search(r"^biobot_gatewayjournal_head_offset ([0-9.e+]+)$", said, re.MULTILINE)
+    found = re.search(r"^biobot_gateway_journal_head_offset ([0-9.e+]+)$", said, re.MULTILINE)
     expect(found is not None, "no journal_head_offset among the metrics")
     assert found is not None
     return int(float(found[1]))
