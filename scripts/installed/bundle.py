@@ -128,7 +128,7 @@ def _check_services(machine: Machine, say: Say, folder: str, *, version: str) ->
 
 def _check_second_run(machine: Machine, say: Say, folder: str, *, version: str) -> None:
     """Run it again over services that run: they move to the new programs, with their data and configurations."""
-    configuration = machine.run("sed -i 's/^name = .*/name = \"base7\" # ours/' /etc/biobot/gateway.toml; cat /etc/biobot/gateway.toml")
+    configuration = machine.run("sed -i 's/^name = .*/name = \"base1\" # ours/' /etc/biobot/gateway.toml; cat /etc/biobot/gateway.toml")
     token = machine.run("cat /var/lib/biobot/mapper/first-token")
     head = journal_head(machine)
     said = machine.run(f"cd {folder} && sh install.sh --service", timeout_s=INSTALL_S)

@@ -115,8 +115,11 @@ done
 if [ -n "$with_service" ]; then
   "$place/bin/biobot-gateway" install-service "$@" && exit 0
   # A version that gave way to the one before is of no use; one that waits for a correction of its configuration is recorded.
-  grep -qs "\"programs\": \"$place\"" /var/lib/biobot/installed.json || drop_place
-  fail "the services do not run yet (above)"
+  if grep -qs "\"programs\": \"$place\"" /var/lib/biobot/installed.json; then
+    fail "not all services run yet (above); once that is corrected: sudo $place/bin/biobot-gateway install-service"
+  fi
+  drop_place
+  fail "no service was changed, or those of before were put back (above); what was installed is removed again: correct that, and run this again"
 fi
 echo "to be rid of it: rm -r $place"
 echo "try it: $place/bin/python -m studies.demo --exit --out ~/biobot-demo"
