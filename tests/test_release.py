@@ -351,6 +351,7 @@ def test_what_a_killed_installation_left_is_removed_by_the_next(bundle: Path, tm
     done = _install(bundle, "--python", sys.executable, "--prefix", str(prefix))
     assert (done.returncode, "there is no wheel of pip" in done.stderr) == (1, True)
     assert f"an installation into {prefix}/9.9.9 was interrupted; it is removed" in done.stdout
+    assert "/proc" not in done.stderr
     assert not (tmp_path / "made").exists(), "folders that the killed one had made stay"
 
 

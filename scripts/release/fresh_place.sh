@@ -56,7 +56,8 @@ _drop_unfinished() {
     place=${_mark##*/.}
     place=$_root$_prefix/${place%.unfinished}
     _owner=$(head -n 1 "$_mark")
-    if tr '\0' ' ' <"/proc/${_owner:-none}/cmdline" 2>/dev/null | grep -q 'install\.sh\|services\.sh'; then
+    _running=/proc/${_owner:-none}/cmdline
+    if [ -r "$_running" ] && tr '\0' ' ' <"$_running" | grep -q 'install\.sh\|services\.sh'; then
       echo "error: process $_owner is installing into $place now; wait until it is done" >&2
       exit 1
     fi
