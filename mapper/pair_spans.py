@@ -1,50 +1,60 @@
-"""Spans of one pair of biobots on one axis, in order, each with the row it is of: which of them overlap. Pure."""
+"""Spans of one pair of biobots on one axis, in order, each with the row it is of: which of them overlap. Pure.
+
+One object for a pair, because of pairs there are as many as of encounters where a swarm is large.
+"""
 
 from array import array
-from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from mapper.types import BoolArray, IntArray
 
+PairSpans: TypeAlias = "array[int]"
+"""By begin, then row: begin, end and row of each, one after the other, behind a length no shorter than any."""
 
-@dataclass(slots=True)
-class PairSpans:
-    """Spans by begin, then row; columns side by side. ``longest`` is no shorter than any."""
 
-    begins: "array[int]" = field(default_factory=lambda: array("q"))
-    ends: "array[int]" = field(default_factory=lambda: array("q"))
-    rows: "array[int]" = field(default_factory=lambda: array("q"))
-    longest: int = 0
+def no_spans() -> PairSpans:
+    """Return those of a pair that has none."""
+    return array("q", (0,))
 
-    def place(self, begin: int, row: int) -> int:
-        """Return where a span is, or would be."""
-        at = bisect_left(self.begins, begin)
-        while at < len(self.begins) and self.begins[at] == begin and self.rows[at] < row:
-            at += 1
-        return at
 
-    def insert(self, begin: int, end: int, row: int) -> None:
-        """Add a span."""
-        at = self.place(begin, row)
-        self.begins.insert(at, begin)
-        self.ends.insert(at, end)
-        self.rows.insert(at, row)
-        self.longest = max(self.longest, end - begin)
+def insert(spans: PairSpans, begin: int, end: int, row: int) -> None:
+    """Add a span."""
+    at = 3 * _place(spans, begin, row) + 1
+    spans[at:at] = array("q", (begin, end, row))
+    spans[0] = max(spans[0], end - begin)
 
-    def remove(self, begin: int, row: int) -> None:
-        """Take out a span that is there."""
-        at = self.place(begin, row)
-        del self.begins[at], self.ends[at], self.rows[at]
 
-    def overlapping(self, begin: int, end: int) -> list[int]:
-        """Return the rows of the spans that have an instant in common with a span, both ends included."""
-        first, last = bisect_left(self.begins, begin - self.longest), bisect_right(self.begins, end)
-        if last - first == 1:
-            return [self.rows[first]] if self.ends[first] >= begin else []
-        return [row for row, until in zip(self.rows[first:last], self.ends[first:last], strict=True) if until >= begin]
+def remove(spans: PairSpans, begin: int, row: int) -> None:
+    """Take out a span that is there."""
+    at = 3 * _place(spans, begin, row) + 1
+    del spans[at : at + 3]
+
+
+def overlapping(spans: PairSpans, begin: int, end: int) -> list[int]:
+    """Return the rows of the spans that have an instant in common with a span, both ends included."""
+    at = 3 * _place(spans, begin - spans[0], -1) + 1
+    rows = []
+    while at < len(spans) and spans[at] <= end:
+        if spans[at + 1] >= begin:
+            rows.append(spans[at + 2])
+        at += 3
+    return rows
+
+
+def _place(spans: PairSpans, begin: int, row: int) -> int:
+    """Return where a span is, or would be."""
+    low, high = 0, len(spans) // 3
+    while low < high:
+        middle = (low + high) // 2
+        if (spans[3 * middle + 1], spans[3 * middle + 3]) < (begin, row):
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,9 +77,10 @@ class Pieces:
         firsts = np.flatnonzero(self.is_new_pair)
         lasts = np.append(firsts[1:], len(rows))
         longest = np.maximum.reduceat(ends - begins, firsts)
+        told = np.stack((begins, ends, rows), axis=1)
         for first, last, span in zip(firsts.tolist(), lasts.tolist(), longest.tolist(), strict=True):
-            own_begins, own_ends, own_rows = (array("q", column[first:last].tobytes()) for column in (begins, ends, rows))
-            spans = PairSpans(begins=own_begins, ends=own_ends, rows=own_rows, longest=span)
+            spans = array("q", (span,))
+            spans.frombytes(told[first:last].tobytes())
             yield (int(self.low[first]), int(self.high[first])), spans
 
 

@@ -16,6 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from scripts.release.formats import FROZEN, Told, tell_journal, tell_map, tell_recording, tell_run, tell_store, tell_tokens, unpack_frozen
+from scripts.release.promises import tell_interfaces
 from scripts.release.version import read_version
 from studies.system import RunningSystem, SystemSettings
 
@@ -28,6 +29,8 @@ TELLERS: dict[str, Callable[[Path], Told]] = {
     "tokens.json": tell_tokens,
 }
 """What is frozen, and what tells it."""
+INTERFACES = "interfaces.json.xz"
+"""OpenAPI document and flags (``scripts.release.promises``)."""
 CONFIGURATIONS = {"gateway.toml": "gateway", "mapper.toml": "mapper"}
 
 
@@ -82,6 +85,7 @@ def freeze(left: Path, out: Path) -> None:
             target.parent.mkdir(exist_ok=True)
             target.with_name(target.name + ".xz").write_bytes(lzma.compress(path.read_bytes(), preset=9))
     told = {name: asdict(tell_frozen(out, name)) for name in TELLERS if (left / name).exists()}
+    (out / INTERFACES).write_bytes(lzma.compress(json.dumps(tell_interfaces()).encode(), preset=9))
     (out / "facts.json").write_text(json.dumps(told, indent=1) + "\n")
 
 
