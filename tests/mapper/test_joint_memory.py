@@ -14,7 +14,7 @@ N_MEETINGS = 4096
 PIECE = 256
 
 
-def told(first: int, *, row: int, gateway: int, n_pairs: int) -> ToldRows:
+def told(first: int, *, row: int, gateway: int, n_pairs: int, has_own: bool) -> ToldRows:
     """Return what a gateway tells of a piece of the meetings, ten seconds apart, which each last two."""
     number = np.arange(first, first + PIECE, dtype=np.int64)
     rows = EncounterRows(
@@ -26,14 +26,23 @@ def told(first: int, *, row: int, gateway: int, n_pairs: int) -> ToldRows:
         counts=np.ones(PIECE, dtype=np.bool_),
     )
     nothing = np.zeros(PIECE, dtype=np.int64)
-    return ToldRows(rows=rows, margin_ns=nothing, error_ns=nothing, gateway=nothing + gateway)
+    side = (10_000 * number, 10_000 * number + 2_000, nothing, nothing)
+    own = np.array((*side, *side)) if has_own else None
+    return ToldRows(rows=rows, margin_ns=nothing, error_ns=nothing, gateway=nothing + gateway, own=own)
 
 
-@pytest.mark.parametrize(("n_pairs", "most"), [(N_MEETINGS, 300), (64, 250)], ids=["all met once", "a few met often"])
-def test_a_record_of_two_gateways_takes_few_bytes(n_pairs: int, most: int) -> None:
-    """Columns take 88 bytes, and as much again in spare; a cover 24, and a pair's object and place 200."""
+@pytest.mark.parametrize(
+    ("n_pairs", "most", "has_own"),
+    [(N_MEETINGS, 300, False), (64, 250, False), (N_MEETINGS, 700, True), (64, 420, True)],
+    ids=["all met once", "a few met often", "all met once, by own clocks too", "a few met often, by own clocks too"],
+)
+def test_a_record_of_two_gateways_takes_few_bytes(n_pairs: int, most: int, has_own: bool) -> None:
+    """Columns take 88 bytes, and as much again in spare; a cover 24, and a pair's object and place 200.
+
+    Where own clocks are told, columns take 64 more, and as much again in spare; two more spans and a pair's two more objects come to it.
+    """
     pieces = [
-        told(first, row=1 + 2 * first + gateway * PIECE, gateway=gateway, n_pairs=n_pairs)
+        told(first, row=1 + 2 * first + gateway * PIECE, gateway=gateway, n_pairs=n_pairs, has_own=has_own)
         for first in range(0, N_MEETINGS, PIECE)
         for gateway in (0, 1)
     ]
