@@ -3,10 +3,14 @@
 Tests with real processes begin first: they take longest, and none is left for the end, when the other workers have nothing to do.
 
 And interrupts as at a terminal: a shell that starts the tests in the background has them ignored, by all programs that the tests start too.
+
+What was compiled is kept, though the environment says otherwise: each worker would rewrite 300 files of tests, and hundreds of programs
+would compile what they import.
 """
 
 import os
 import signal
+import sys
 from typing import Any
 
 import pytest
@@ -21,6 +25,9 @@ settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 @pytest.hookimpl(tryfirst=True)
