@@ -198,6 +198,9 @@ bundle: venv  ## make the archive that installs where there is no network (docs/
 bundle-check: venv  ## install dist's bundle without a network, map and run the demo, for each Python here (minutes; ARGS="--tree build/trees/debian-14")
 	$(PY) -m scripts.release.bundle_check $(ARGS)
 
+reproducible: venv  ## make what is released twice, in other folders, with another umask, clock, language; it has to be the same to the octet (ARGS="--bundle")
+	$(PY) -m scripts.release.reproducible $(ARGS)
+
 wheels-check: venv  ## install wheel and sdist into bare environments, and map, for each Python here (minutes; docs/releasing.md)
 	$(PY) -m scripts.release.wheels_check $(ARGS)
 

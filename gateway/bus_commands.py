@@ -217,9 +217,9 @@ def read_command(octets: bytes) -> StimulationRequest:
 
 
 def _turn_away(query: zenoh.Query, octets: bytes, reason: str, *, health: Health, listener: TurnedAwayListener | None) -> None:
-    refuse(query, reason, health=health)
     if listener is not None:
         listener(octets, reason)
+    refuse(query, reason, health=health)
 
 
 def _reply(query: zenoh.Query, key: str, answer: Struct, *, is_last: bool) -> None:

@@ -35,6 +35,7 @@ from firmware_protocol.units import LAST_NODE_ADDRESS, BootId, Milliseconds, Nod
 from gateway.clocks import ClockBook, NodeClock
 from gateway.config import EncounterTable
 from gateway.encounter_reports import MAX_AHEAD_MS, EncounterReports
+from gateway.halts import Halts
 from gateway.health import Health
 from gateway.issuer import RecordIssuer
 from gateway.journal import Journal
@@ -112,7 +113,8 @@ class Intake:
         self._clocks = clocks
         self._health = health
         self._reports = EncounterReports(issuer=issuer, reader=reader, nodes=nodes, health=health, config=config, now_ns=now_ns)
-        self._modes = ModeTracker(issuer=issuer)
+        self.halts = Halts()
+        self._modes = ModeTracker(issuer=issuer, halts=self.halts)
         self._lives: dict[NodeId, OrderedDict[BootId, _Life]] = {}
         self._clock_news: set[NodeId] = set()
         """Whose clock is known better than the journal has it: their next report takes that along."""

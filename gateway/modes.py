@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.contract.records import Cause, Mode, ModeRecord
 from firmware_protocol.units import BootId, Milliseconds, Nanoseconds, NodeId
+from gateway.halts import Halts
 from gateway.issuer import RecordIssuer
 
 _MAX_SPELLS = 64
@@ -51,6 +52,7 @@ class _Spell:
     node_boot: BootId | None
     since_ms: Milliseconds | None
     is_from_reply: bool
+    is_halted: bool
 
     def means(self, report: ModeReport) -> bool:
         """Whether ``report`` speaks of this spell."""
@@ -74,6 +76,7 @@ class ModeTracker:
     """Turns reports of modes into mode records and their revisions."""
 
     issuer: RecordIssuer
+    halts: Halts = field(default_factory=Halts)
     _spells: dict[NodeId, list[_Spell]] = field(default_factory=dict)
 
     def observe(self, report: ModeReport) -> list[ModeRecord]:
@@ -85,7 +88,7 @@ class ModeTracker:
         at = sum(1 for spell in spells if spell.began_before(report))
         for known in spells[max(0, at - 1) : at + 1]:
             if known.means(report):
-                return self._refine(known, report)
+                return self._refine(known, report, before=next((one for one in reversed(spells[:at]) if one is not known), None))
         if report.is_from_reply and at and spells[at - 1].mode is report.mode:
             return []  # started while it walked: the mode has not changed, and its status will tell the cause
         following = spells[at] if at < len(spells) else None
@@ -101,6 +104,7 @@ class ModeTracker:
             node_boot=report.boot,
             since_ms=report.since_ms,
             is_from_reply=report.is_from_reply,
+            is_halted=self._is_halted(report, since=report.t_start_ns, before=spells[at - 1] if at else None),
         )
         changed = [spell]
         if at:
@@ -144,20 +148,30 @@ class ModeTracker:
                     node_boot=None,
                     since_ms=None,
                     is_from_reply=False,
+                    is_halted=record.is_halted,
                 )
             )
             del spells[:-_MAX_SPELLS]
 
-    def _refine(self, spell: _Spell, report: ModeReport) -> list[ModeRecord]:
-        if report.is_from_reply:
+    def _refine(self, spell: _Spell, report: ModeReport, *, before: _Spell | None) -> list[ModeRecord]:
+        """Correct a spell by a further report of it: its cause, and that a stop of the biobot alone came after the stop of all."""
+        was = spell.cause, spell.is_halted
+        if not report.is_from_reply:
+            if spell.is_from_reply:
+                spell.cause = report.cause
+            spell.node_boot, spell.since_ms, spell.is_from_reply = report.boot, report.since_ms, False
+        if spell.is_halted:
+            since_ns = spell.t_start_ns if before is None else before.t_start_ns
+            spell.is_halted = spell.cause is Cause.COMMAND and not self.halts.was_stopped_alone(report.node, since_ns=since_ns)
+        if (spell.cause, spell.is_halted) == was:
             return []
-        has_changed = spell.is_from_reply and spell.cause is not report.cause
-        spell.node_boot, spell.since_ms, spell.is_from_reply = report.boot, report.since_ms, False
-        if not has_changed:
-            return []
-        spell.cause = report.cause
         spell.revision += 1
         return [self._record(report.node, spell)]
+
+    def _is_halted(self, report: ModeReport, *, since: int, before: _Spell | None) -> bool:
+        if report.mode is not Mode.S or report.cause is not Cause.COMMAND:
+            return False
+        return self.halts.is_halted(report.node, stands_since_ns=since, walked_since_ns=None if before is None else before.t_start_ns)
 
     def _record(self, node: NodeId, spell: _Spell) -> ModeRecord:
         return ModeRecord(
@@ -174,4 +188,5 @@ class ModeTracker:
             t_start_ns=spell.t_start_ns,
             t_end_ns=spell.t_end_ns,
             error_ns=spell.error_ns,
+            is_halted=spell.is_halted,
         )

@@ -213,6 +213,7 @@ class Service:
             controlled=commanding.dead_man.controlled,
         )
         gate.listen(mission.on_stage)
+        gate.listen(intake.halts.hear)
         journal.listen(mission.take_records)
         journal.listen(bus.publish_records)
         journal.listen(lambda committed: self._vitals.take_records(committed.records, committed.head_offset))

@@ -35,6 +35,7 @@ ENCOUNTER_COLUMNS = ("t_start_s", "t_end_s", "id1", "id2")
 MODE_COLUMNS = ("t_start_s", "t_end_s", "id", "mode", "cause")
 JOURNAL_MODE_COLUMNS = ("start_wall_ns", "end_wall_ns", "node", "mode", "cause")
 """What ``biobot-gateway journal export --kind modes`` writes."""
+_HALTED = "is_halted"  # written too, but by older gateways
 
 MAX_FILE_BYTES = 2**30
 """A file is read whole."""
@@ -117,9 +118,10 @@ def read_modes(
         As for `read_encounters`.
     """
     data = read_bytes(path)
-    if _is_of_a_journal(data):
-        read = partial(_parse_journal_spell, number_of=number_of)
-        spells = _read_rows(path, data, columns=JOURNAL_MODE_COLUMNS, parse=read)
+    names = _header_names(data)
+    if names.issuperset(JOURNAL_MODE_COLUMNS) and not names.issuperset(MODE_COLUMNS):
+        columns = (*JOURNAL_MODE_COLUMNS, _HALTED) if _HALTED in names else JOURNAL_MODE_COLUMNS
+        spells = _read_rows(path, data, columns=columns, parse=partial(_parse_journal_spell, number_of=number_of))
     else:
         spells = _read_rows(path, data, columns=MODE_COLUMNS, parse=partial(_parse_spell, number_of=number_of, time_of=time_of))
     return tuple(spell for spell in spells if spell is not None)
@@ -308,16 +310,19 @@ def _parse_journal_spell(row: Mapping[str, str], *, number_of: Callable[[str], i
         raise _FieldError(f"end_wall_ns {end} is before start_wall_ns {start}")
     node = _node(row, "node") if number_of is None else number_of(row["node"])
     mode, cause = _member(row, "mode", Mode), _member(row, "cause", Cause)
+    halted = row.get(_HALTED, "false")
+    if halted not in {"true", "false"}:
+        raise _FieldError(f"{_HALTED} is {_shown(halted)}; wanted true or false")
     if node is None:
         return None
+    # As in `mapper.mode_spells`: who stands because all were stopped is no landmark.
+    cause = Cause.NATURAL if halted == "true" and mode is Mode.S else cause
     return ModeSpell(node=NodeId(node), t_start_ns=start, t_end_ns=end if row["end_wall_ns"] else None, mode=mode, cause=cause)
 
 
-def _is_of_a_journal(data: bytes) -> bool:
-    """Whether the header is that of spells which a gateway's journal was exported to."""
+def _header_names(data: bytes) -> set[str]:
     header = data.partition(b"\n")[0].decode("utf-8-sig", errors="replace")
-    names = {name.strip().strip('"') for name in header.split(",")}
-    return names.issuperset(JOURNAL_MODE_COLUMNS) and not names.issuperset(MODE_COLUMNS)
+    return {name.strip().strip('"') for name in header.split(",")}
 
 
 def _time_ns(row: Mapping[str, str], name: str, time_of: Callable[[str, str], int] | None = None) -> int:

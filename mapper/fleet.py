@@ -234,6 +234,9 @@ class Fleet:
         spell = self._modes.get(node)
         if spell is None or spell.mode is not Mode.S or spell.cause is not Cause.COMMAND:
             return False
+        if spell.is_halted:
+            return True
+        # A gateway that does not say so in its records told of the stops.
         began_ns, alone_ns = spell.t_start_ns + spell.wall_anchor_ns, self._stopped_ns.get(node)
         return any(
             _HALTED_FROM_NS <= began_ns - stopped_ns <= _HALTED_TO_NS and (alone_ns is None or alone_ns <= stopped_ns)

@@ -10,6 +10,7 @@ from mapper.kernels import Kernels
 from mapper.pipeline import compute_map
 from mapper.reading import ProximityLog
 from mapper.standing import choose_standing, number_given
+from mapper.time_doubts import doubt_modes, doubt_unit
 from mapper.types import DataVerdict, EncounterTable, IntArray, MapResult, ModeSpell, Recipe, StandingSource
 from mapper.window import stationary_spells
 
@@ -61,7 +62,7 @@ def map_log(
     statistics = measure_walkers(table, still)
     doubts = (*doubt_movement(statistics), *doubt_times(statistics, tick_ns=log.tick_ns))
     result = compute_map(table, still, recipe, kernels=kernels, also_place=also_place, doubts=doubts)
-    warnings = [*log.warnings, *result.warnings]
+    warnings = [*log.warnings, *doubt_unit(log.table), *doubt_modes(log.table, spells or ()), *result.warnings]
     if absent:
         warnings.append(f"stationary biobots {', '.join(absent)} are in no encounter")
     if standing.source in {StandingSource.COLUMN, StandingSource.FOUND}:

@@ -20,6 +20,7 @@ from mapper.certainty import chance_text, sure_text
 from mapper.command_log import Command
 from mapper.fleet import BiobotView, GatewayView
 from mapper.map_archive import PastMap
+from mapper.named_pins import NamedPin, PinOnMap
 from mapper.record_columns import wall_interval
 from mapper.report_pictures import DrawnHole, DrawnMap, TimedCount, TimedSpan, draw_map, draw_timeline
 
@@ -86,6 +87,7 @@ class ReportFacts:
     commands: Sequence[Command]
     missions: Sequence[MissionRecord]
     faults: Sequence[str]
+    pins: Sequence[tuple[NamedPin, PinOnMap]] = ()
 
 
 def write_report(facts: ReportFacts, *, style_url: str | None = None, style: str | None = None) -> str:
@@ -96,7 +98,8 @@ def write_report(facts: ReportFacts, *, style_url: str | None = None, style: str
     title = f"Mission report: site {facts.site}, {_date(facts.now_wall_ns)}"
     body = [
         f"<h1>Mission report</h1><p class=lead>Site {escape(facts.site)}, {_time(facts.now_wall_ns)}. All times are UTC.</p>",
-        *(_no_map(facts) if map_ is None else _of_map(map_)),
+        *(_no_map(facts) if map_ is None else _of_map(map_, facts.pins)),
+        *_pins(facts.pins),
         _lost(facts),
         "<h2>Holes and alerts over time</h2>",
         _timeline(facts),
@@ -117,7 +120,7 @@ def _no_map(facts: ReportFacts) -> list[str]:
     return [f'<p class="verdict">There is no map yet: {escape(facts.waiting or "the mapper has just started")}.</p>']
 
 
-def _of_map(map_: _Map) -> list[str]:
+def _of_map(map_: _Map, pins: Sequence[tuple[NamedPin, PinOnMap]]) -> list[str]:
     unit = map_.parameters.length_unit
     b0, b1 = map_.betti_numbers
     parts = _counted(b0, "connected part", "connected parts")
@@ -140,8 +143,11 @@ def _of_map(map_: _Map) -> list[str]:
         f"<p>It is of {map_.n_encounters} encounters ({map_.n_used} used), {map_.diameter:.3g} {escape(unit)} from end to end; "
         f"version {map_.version}, of all that had come by {_time(map_.begun_wall_ns)}.</p>"
     )
-    caption = "Numbers are those of the table; dashed, ?: may be a hole; hollow points are badly seen; triangles are landmarks."
-    lines += [f"<figure>{draw_map(map_, unit=unit)}<figcaption>{caption}</figcaption></figure>", "<h2>Holes</h2>"]
+    caption = (
+        "Numbers are those of the table; dashed, ?: may be a hole; hollow points are badly seen; triangles are landmarks, crosses pins."
+    )
+    drawn = [(pin.name, (on.x, on.y)) for pin, on in pins if on.x is not None and on.y is not None]
+    lines += [f"<figure>{draw_map(map_, unit=unit, pins=drawn)}<figcaption>{caption}</figcaption></figure>", "<h2>Holes</h2>"]
     rows = [_hole_row(str(number), hole) for number, hole in enumerate(map_.holes, start=1)]
     rows += [_hole_row("?", hole) for hole in map_.possible_holes if (hole.probability or 0.0) >= _LISTED_PROBABILITY]
     lines.append(_table(["Hole", "How sure", f"Area [{unit}²]", f"Perimeter [{unit}]", "Part"], rows, empty="The map shows no hole."))
@@ -152,6 +158,16 @@ def _hole_row(name: str, hole: DrawnHole) -> list[str]:
     area = "not known" if hole.area is None else f"{hole.area:.3g} ± {hole.area_error or 0.0:.2g}"
     around = "not known" if hole.perimeter is None else f"{hole.perimeter:.3g} ± {hole.perimeter_error or 0.0:.2g}"
     return [name, "not known" if hole.probability is None else chance_text(hole.probability), area, around, str(hole.component + 1)]
+
+
+def _pins(pins: Sequence[tuple[NamedPin, PinOnMap]]) -> list[str]:
+    rows = []
+    for pin, on in pins:
+        known = "" if pin.at is None else f"{pin.at[0]:.6g}, {pin.at[1]:.6g}"
+        found = (on.problem or "on no map yet") if on.x is None or on.y is None else f"{on.x:.3g}, {on.y:.3g}"
+        rows.append([pin.name, pin.place, known, found, "" if on.residual_m is None else f"{on.residual_m:.2g}"])
+    head = ["Pin", "Place", "Known place, x, y [m]", "On the map, x, y", "Off by [m]"]
+    return ["<h2>Pins</h2>", _table(head, rows, empty="No place was named.")]
 
 
 def _lost(facts: ReportFacts) -> str:

@@ -1,13 +1,20 @@
-"""Who stood still and who walked, and when: mode records by row, and the spells they tell of."""
+"""Who stood still and who walked, and when: mode records by row, and the spells they tell of.
+
+Who was halted by a stop of all stands where it happened to be: to a map its spell is one of its own, for as landmarks the stands of a
+whole swarm would take the places of those that were chosen (docs/stop.md).
+"""
 
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
 
-from firmware_protocol.contract.records import ModeRecord
-from firmware_protocol.units import NodeId
+from firmware_protocol.contract.records import Cause, Mode, ModeRecord
+from firmware_protocol.units import NS_PER_S, NodeId
 from mapper.record_columns import to_signed, wall_interval
 from mapper.types import ModeSpell
+
+_ONE_STOP_NS = 2 * NS_PER_S
+"""Gateways that heard a biobot both tell of its stop at about the same time; their clocks are fitted."""
 
 
 class ModeSpells:
@@ -53,10 +60,15 @@ class ModeSpells:
 def _cut(by_node: dict[NodeId, list[ModeRecord]]) -> Iterable[ModeSpell]:
     for node, records in sorted(by_node.items()):
         before: ModeSpell | None = None
+        halted_ns: int | None = None
         for record in records:
             begin, end = wall_interval(record)
             if before is not None:
                 yield before if before.t_end_ns is not None and before.t_end_ns <= begin else replace(before, t_end_ns=begin)
-            before = ModeSpell(node=node, t_start_ns=begin, t_end_ns=end, mode=record.mode, cause=record.cause)
+            # Only the gateway that was told to stop all knows of it; another one that hears the biobot tells of the same stop.
+            halted_ns = begin if record.is_halted else halted_ns if record.mode is Mode.S else None
+            is_halted = record.is_halted or (halted_ns is not None and begin - halted_ns <= _ONE_STOP_NS)
+            cause = Cause.NATURAL if is_halted and record.mode is Mode.S else record.cause
+            before = ModeSpell(node=node, t_start_ns=begin, t_end_ns=end, mode=record.mode, cause=cause)
         if before is not None:
             yield before

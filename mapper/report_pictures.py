@@ -89,9 +89,9 @@ class TimedSpan:
     text: str
 
 
-def draw_map(map_: DrawnMap, *, unit: str) -> str:
-    """Draw points, complex, holes with their numbers, landmarks, and a bar of a round length."""
-    places = [(point.x, point.y) for point in map_.points] + [(one.x, one.y) for one in map_.landmarks]
+def draw_map(map_: DrawnMap, *, unit: str, pins: Sequence[tuple[str, _Place]] = ()) -> str:
+    """Draw points, complex, holes with their numbers, landmarks, pins by name and place on the map, and a bar of a round length."""
+    places = [(point.x, point.y) for point in map_.points] + [(one.x, one.y) for one in map_.landmarks] + [place for _, place in pins]
     left, right = min(x for x, _ in places), max(x for x, _ in places)
     low, high = min(y for _, y in places), max(y for _, y in places)
     scale = min((_WIDTH - 2 * _EDGE) / max(right - left, 1e-9), (_MAP_HEIGHT - 2 * _EDGE) / max(high - low, 1e-9))
@@ -123,7 +123,11 @@ def draw_map(map_: DrawnMap, *, unit: str) -> str:
         dashes = "" if one.t_end is None else ' stroke-dasharray="2 2"'
         parts.append(f'<polygon points="{corners}" fill="white" stroke="#1c6b3c" stroke-width="1.4"{dashes}/>')
         parts.append(f'<text x="{x:.1f}" y="{y + 15:.1f}" font-size="9" text-anchor="middle" fill="#1c6b3c">{one.id}</text>')
-    return _svg(_MAP_HEIGHT, "The map: points, holes with their numbers, landmarks", [*parts, *_bar(scale, unit)])
+    for name, place in pins:
+        x, y = put(place)
+        parts.append(f'<path d="M{x - 6:.1f} {y:.1f}H{x + 6:.1f}M{x:.1f} {y - 6:.1f}V{y + 6:.1f}" stroke="#7a3e9d" stroke-width="2"/>')
+        parts.append(f'<text x="{x + 8:.1f}" y="{y - 4:.1f}" font-size="11" fill="#7a3e9d">{escape(name)}</text>')
+    return _svg(_MAP_HEIGHT, "The map: points, holes with their numbers, landmarks, pins", [*parts, *_bar(scale, unit)])
 
 
 def draw_timeline(counts: Sequence[TimedCount], spans: Sequence[TimedSpan], *, end_ns: int) -> str:

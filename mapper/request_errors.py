@@ -51,6 +51,17 @@ class NoResultError(MapError):
         self.state = state
 
 
+class UnknownParameterError(MapError):
+    """A query parameter was given that the endpoint does not have: it would have been without effect."""
+
+    def __init__(self, *, name: str, place: str, known: tuple[str, ...]) -> None:
+        there = f"give one of those that it has: {', '.join(known)}" if known else "leave it out, for it has none"
+        super().__init__(f"{place} has no query parameter {name!r}; {there} (/openapi.json describes them)")
+        self.name = name
+        self.place = place
+        self.known = known
+
+
 class PeriodError(MapError):
     """A time was asked for that ends before it begins."""
 

@@ -378,7 +378,8 @@ def _listen(serve: ServiceConfig) -> socket.socket:
 def _url(listener: socket.socket, *, scheme: str) -> str:
     host, port = listener.getsockname()[:2]
     shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  # this is the address that is replaced
-    return f"{scheme}://[{shown}]:{port}/" if ":" in shown else f"{scheme}://{shown}:{port}/"
+    # Without a slash at the end: `$URL/api/v1/map`, as all documents have it, is right then.
+    return f"{scheme}://[{shown}]:{port}" if ":" in shown else f"{scheme}://{shown}:{port}"
 
 
 @contextlib.contextmanager

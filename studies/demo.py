@@ -79,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(system: RunningSystem, *, keep_open: bool) -> int:
     settings = system.settings
-    print(f"live page  {system.url}/")
+    print(f"live page  {system.url}")
     print(f"to command sign in there with {system.token}")
     print(f"insects    {settings.n_biobots} in {settings.scenario}, {settings.speed:g} times faster than life, seed {settings.seed}")
     _follow(system)
@@ -93,7 +93,7 @@ def _run(system: RunningSystem, *, keep_open: bool) -> int:
     is_right = _report(score_map(document, system.truth_directory), ledger, n_drawn=document["n_encounters"], out=settings.out)
     if keep_open:
         print("\nThe simulated insects have gone: the page shows their radio as down, and nobody obeys any more.")
-        print(f"The page stays open: {system.url}/   (Ctrl-C ends)")
+        print(f"The page stays open: {system.url}   (Ctrl-C ends)")
         _wait_for_interrupt(system)
     return 0 if is_right else 1
 

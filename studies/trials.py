@@ -167,8 +167,8 @@ class Run:
     world: World
 
 
-def make_run(setting: Setting, seed: int) -> Run:
-    """Let biobots walk in a random arena."""
+def make_world(setting: Setting, seed: int) -> World:
+    """Put the biobots of a setting into a random arena; time is 0."""
     drawn = draw_arena(setting.family, seed=seed)
     metres, seconds = setting.metres, setting.seconds
     arena = build_arena(drawn if metres == 1 else affinity.scale(drawn, metres, metres, origin=(0, 0)))
@@ -183,13 +183,19 @@ def make_run(setting: Setting, seed: int) -> Run:
             long_rest_s=own.long_rest_s,
             long_rest_share=own.long_rest_share,
         )
-    world = World(
+    return World(
         arena,
         motion=motion,
         ranges=Ranges(detection=detection, communication=8 * detection),
         ids=range(1, setting.biobots + 1),
         seed=seed,
     )
+
+
+def make_run(setting: Setting, seed: int) -> Run:
+    """Let biobots walk in a random arena."""
+    seconds, detection = setting.seconds, setting.detection_radius * setting.metres
+    world = make_world(setting, seed)
     explored = explore(
         world,
         landmarks=setting.landmarks,
@@ -207,6 +213,6 @@ def make_run(setting: Setting, seed: int) -> Run:
             gap_periods=_STEADY_GAP,
             radio=RADIO_PRESETS[setting.radio].config,
         )
-        sensed = sense(Paths(world.legs(), n=len(world.ids)), ids=world.ids, arena=arena, until_s=world.now_s, config=config)
+        sensed = sense(Paths(world.legs(), n=len(world.ids)), ids=world.ids, arena=world.arena, until_s=world.now_s, config=config)
         table = tabulate(sensed.encounters, from_s=DISPERSION_S * seconds)
-    return Run(table=table, spells=explored.spells, arena=arena, world=world)
+    return Run(table=table, spells=explored.spells, arena=world.arena, world=world)

@@ -23,6 +23,7 @@ from scripts.containers.podman import PROGRAMS
 ROOT = Path(__file__).parents[1]
 DOCKER = ROOT / "docker"
 DOCKERFILE = (DOCKER / "Dockerfile").read_text()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 SERVICES = ("gateway", "router", "mapper", "simulator")
 TARGETS = dict(re.findall(r"^FROM \S+ AS (\S+)\n(.*?)(?=^FROM |\Z)", DOCKERFILE, re.MULTILINE | re.DOTALL))
 
@@ -41,6 +42,27 @@ def test_every_image_has_a_health_check_and_another_user_than_root() -> None:
         own = TARGETS[service] + (TARGETS["gateway"] if service == "router" else "")
         assert "USER 10001\n" in own, service
         assert re.search(r"^HEALTHCHECK .*(\n\s.*)*CMD \[", TARGETS[service], re.MULTILINE), service
+
+
+def test_every_image_says_what_it_is_and_takes_version_and_commit_from_whoever_builds() -> None:
+    """Annotations of the OCI image specification; `make containers` reads them from the images."""
+    for service in SERVICES:
+        labels = dict(re.findall(r'org\.opencontainers\.image\.(\w+)=("[^"]+"|\S+)', TARGETS[service]))
+        assert labels["title"] == f'"biobot {service}"'
+        assert len(labels["description"]) > 40, service
+        own = labels if service != "router" else dict(re.findall(r"org\.opencontainers\.image\.(\w+)=(\S+)", TARGETS["gateway"]))
+        assert (own["version"], own["revision"], own["licenses"]) == ("$VERSION", "$REVISION", PROJECT["license"]), service
+    assert not re.search(rf"\b{re.escape(PROJECT['version'])}\b", DOCKERFILE), "the version is written once, in pyproject.toml"
+
+
+@pytest.mark.parametrize("name", ["compose.yaml", "compose.site.yaml"])
+def test_compose_hands_version_and_commit_to_every_image_that_it_builds(name: str) -> None:
+    services = YAML(typ="safe").load(DOCKER / name)["services"]
+    builds = [what["build"] for what in services.values() if "build" in what]
+    assert len(builds) >= 3
+    for build in builds:
+        assert build["args"] == {"VERSION": "${BIOBOT_VERSION:-unknown}", "REVISION": "${BIOBOT_REVISION:-unknown}"}
+        assert build["target"] in SERVICES
 
 
 def test_no_secret_and_nothing_superfluous_goes_into_an_image() -> None:

@@ -4,6 +4,8 @@ import json
 import os
 import platform
 import re
+import shutil
+import signal
 import subprocess
 import sys
 import zipfile
@@ -16,12 +18,14 @@ import pytest
 import gateway.__main__
 import mapper.__main__
 import simulator.__main__
-from scripts.release.bundle import pack
+from scripts.release import reproducible
+from scripts.release.bundle import pack, room_needed
 from scripts.release.elf import libraries_of, wheel_faults
 from scripts.release.lock_file import MACHINES, PYTHONS, Pin, Target, pins_for, read_lock
 from scripts.release.machines import Machine, MachineError
 from scripts.release.sbom import NOT_SHIPPED, REQUIRED, make_sbom
 from scripts.release.version import ROOT, read_version
+from scripts.release.wheels import make_sdist
 from tests.mapper.worlds import NS, walk_track
 
 pytestmark = pytest.mark.xdist_group("release")
@@ -112,6 +116,19 @@ def test_each_kind_of_machine_gets_one_version_of_each_package_and_one_engine_fo
     assert "gudhi" not in names
 
 
+def test_what_make_install_takes_is_what_the_bundle_carries_and_nothing_else_stays() -> None:
+    """``make install`` takes the locks of the services, and takes away again what only building wants (scripts/services.sh)."""
+    locks = {name: {(pin.name, pin.version) for pin in read_lock(ROOT / "requirements" / f"{name}.txt")} for name in ("build", "bundle")}
+    installer = (ROOT / "scripts" / "services.sh").read_text()
+    script = f"{installer[installer.index('only_in()') : installer.index('install_services()')]}\nonly_in build.txt bundle.txt"
+    listed = subprocess.run(["sh", "-c", script], cwd=ROOT / "requirements", capture_output=True, text=True, check=True).stdout.split()
+    assert set(listed) == {name for name, _ in locks["build"]} - {name for name, _ in locks["bundle"]}
+    assert "hatchling" in listed
+    for service in ("gateway", "mapper", "simulator"):
+        pins = {(pin.name, pin.version) for pin in read_lock(ROOT / "requirements" / f"{service}.txt")}
+        assert {pin for pin in pins if pin[0] not in listed} <= locks["bundle"], service
+
+
 def test_a_lock_file_with_something_that_is_not_pinned_is_refused(tmp_path: Path) -> None:
     lock = tmp_path / "lock.txt"
     lock.write_text(f"one==1.0 ; python_full_version < '3.12' \\\n    --hash=sha256:{'0' * 64}\n    # via two\n")
@@ -155,6 +172,19 @@ def test_a_wheel_whose_library_is_for_another_processor_or_a_newer_system_is_fou
     assert [library.glibc for library in libraries_of(newer)] == [(2, 34)], "2.34 is newer than 2.2.5"
 
 
+def test_the_room_that_is_asked_for_is_that_of_the_largest_installation(tmp_path: Path) -> None:
+    """numpy: 2 MB as they are, and 1 MB of Python that is compiled beside: 4 MB. zenoh: 3 MB, on one of two machines."""
+    for folder in ("wheels", "requirements"):
+        (tmp_path / folder).mkdir()
+    for name, files in (("numpy-2.0-cp311-none-any.whl", {"a.so": 2, "b.py": 1}), ("zenoh-1.0-py3-none-any.whl", {"c.so": 3})):
+        with zipfile.ZipFile(tmp_path / "wheels" / name, "w") as wheel:
+            for path, n_megabytes in files.items():
+                wheel.writestr(path, bytes(n_megabytes * 1_000_000))
+    (tmp_path / "requirements" / "3.11-x86_64.txt").write_text("numpy==2.0 --hash=x\nzenoh==1.0 --hash=y\n")
+    (tmp_path / "requirements" / "3.11-aarch64.txt").write_text("numpy==2.0 --hash=x\n")
+    assert room_needed(tmp_path / "wheels", tmp_path / "requirements") == 7 + 20
+
+
 def test_packing_the_same_folder_twice_makes_the_same_octets(tmp_path: Path) -> None:
     tree = tmp_path / "biobot-1"
     (tree / "wheels").mkdir(parents=True)
@@ -164,6 +194,37 @@ def test_packing_the_same_folder_twice_makes_the_same_octets(tmp_path: Path) -> 
     os.utime(tree / "a.txt", (1, 1))
     pack(tree, tmp_path / "two.tar")
     assert (tmp_path / "one.tar").read_bytes() == (tmp_path / "two.tar").read_bytes()
+
+
+def test_sources_are_packed_into_a_folder_that_is_named_from_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are packed, and wheels built, by processes in other folders; before Python 3.12 temporary folders may have relative names."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    sdist = make_sdist(Path("out"))
+    assert sdist == Path("out") / f"biobot_gateway-{read_version()}.tar.gz"
+    assert sdist.is_file()
+
+
+@pytest.mark.campaign
+def test_what_is_released_is_the_same_whoever_makes_it_wherever_and_whenever(capsys: pytest.CaptureFixture[str]) -> None:
+    """sdist, wheel and bill of materials; `make reproducible` has the others, which want a network."""
+    status, told = reproducible.main(["--ours"]), capsys.readouterr().out
+    assert status == 0, told
+    assert [line.split()[0] for line in told.splitlines() if "biobot_gateway-" in line or "sbom" in line] == ["same"] * 4
+
+
+def test_what_differs_between_two_makings_is_found(tmp_path: Path) -> None:
+    told: list[str] = []
+    for name, text in (("a", "one"), ("b", "two")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "same.json").write_text("{}")
+        with zipfile.ZipFile(tmp_path / name / "x.whl", "w") as wheel:
+            wheel.writestr(zipfile.ZipInfo("package/same.py"), "")
+            wheel.writestr(zipfile.ZipInfo("package/differs.py"), text)
+    (tmp_path / "a" / "only-one").write_text("")
+    assert reproducible.compare(tmp_path / "a", tmp_path / "b", say=told.append) == 2
+    assert [line.split()[0] for line in told if not line.startswith(" ")] == ["DIFFERS", "same", "DIFFERS"]
+    assert "         in package/differs.py" in told
 
 
 def test_where_a_release_is_tried_there_is_no_network_but_loopback() -> None:
@@ -186,14 +247,16 @@ def bundle(tmp_path: Path) -> Path:
     (folder / "requirements").mkdir(parents=True)
     (folder / "VERSION").write_text("9.9.9\n")
     (folder / "GLIBC").write_text("2.17\n")
+    (folder / "ROOM").write_text("1\n")
     (folder / "requirements" / f"{HERE}.txt").write_text("")
-    (folder / "install.sh").write_bytes(INSTALLER.read_bytes())
+    for script in (INSTALLER, INSTALLER.with_name("fresh_place.sh")):
+        (folder / script.name).write_bytes(script.read_bytes())
     _seal(folder)
     return folder
 
 
 def _seal(folder: Path) -> None:
-    done = subprocess.run("sha256sum GLIBC VERSION install.sh requirements/* > SHA256SUMS", shell=True, cwd=folder, check=True)
+    done = subprocess.run("sha256sum GLIBC ROOM VERSION *.sh requirements/* > SHA256SUMS", shell=True, cwd=folder, check=True)
     assert done.returncode == 0
 
 
@@ -238,7 +301,73 @@ def test_an_installation_that_fails_leaves_nothing_behind(bundle: Path, tmp_path
     """There are no wheels in it, not even pip's."""
     done = _install(bundle, "--python", sys.executable, "--prefix", str(tmp_path / "prefix"))
     assert done.returncode != 0
-    assert list((tmp_path / "prefix").iterdir()) == []
+    assert not (tmp_path / "prefix").exists()
+
+
+def _program(path: Path, text: str) -> str:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+def test_a_python_that_is_too_old_is_named_whichever_others_are_looked_for(bundle: Path, tmp_path: Path) -> None:
+    code = "import sys; sys.version_info = (3, 10, 2); code = sys.argv[1]; del sys.argv[1]; exec(code)"
+    _program(tmp_path / "bin" / "python3", f"""shift 2; exec {sys.executable} -I -c '{code}' "$@" """)
+    for name in ("cat", "dirname", "sed"):
+        (tmp_path / "bin" / name).symlink_to(shutil.which(name) or name)
+    path = str(tmp_path / "bin")
+    done = subprocess.run(
+        [shutil.which("sh") or "sh", str(bundle / "install.sh"), "--check"], env={"PATH": path}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "python3: it is Python 3.10, and 3.11 to 3.14 are wanted" in done.stderr
+    assert "--python names a Python that is elsewhere" in done.stderr
+
+
+def test_a_disk_that_is_too_small_is_told_of_before_anything_is_made(bundle: Path, tmp_path: Path) -> None:
+    (bundle / "ROOM").write_text("999999999\n")
+    _seal(bundle)
+    done = _install(bundle, "--python", sys.executable, "--prefix", str(tmp_path / "prefix"))
+    assert done.returncode == 1
+    assert f"MB are free at {tmp_path}, and an installation takes 999999999 MB: make room, or name a folder on another disk" in done.stderr
+    assert not (tmp_path / "prefix").exists()
+
+
+def test_a_folder_in_which_a_file_is_missing_is_unpacked_anew(bundle: Path) -> None:
+    (bundle / "GLIBC").unlink()
+    done = _install(bundle, "--check")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert f"there is no GLIBC in {bundle}: unpack the archive anew" in done.stderr
+
+
+def test_what_a_killed_installation_left_is_removed_by_the_next(bundle: Path, tmp_path: Path) -> None:
+    """Its Python kills the installer where a virtual environment is to be made, as a loss of power would."""
+    kill = f"""case "$*" in *" venv "*) kill -KILL $PPID; exit;; *) exec {sys.executable} "$@";; esac"""
+    deadly, prefix = _program(tmp_path / "bin" / "python3", kill), tmp_path / "made" / "prefix"
+    killed = _install(bundle, "--python", deadly, "--prefix", str(prefix))
+    assert killed.returncode == -signal.SIGKILL
+    assert sorted(path.name for path in prefix.iterdir()) == [".9.9.9.unfinished", "9.9.9"]
+    done = _install(bundle, "--python", sys.executable, "--prefix", str(prefix))
+    assert (done.returncode, "there is no wheel of pip" in done.stderr) == (1, True)
+    assert f"an installation into {prefix}/9.9.9 was interrupted; it is removed" in done.stdout
+    assert "/proc" not in done.stderr
+    assert not (tmp_path / "made").exists(), "folders that the killed one had made stay"
+
+
+def test_services_are_not_begun_where_they_cannot_be_set_up(bundle: Path, tmp_path: Path) -> None:
+    _program(tmp_path / "bin" / "id", "echo 1000")
+    command = ["sh", str(bundle / "install.sh"), "--prefix", str(tmp_path / "prefix"), "--python", sys.executable, "--service"]
+    environment = os.environ | {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "wants root: sudo sh install.sh" in done.stderr
+    if not Path("/run/systemd/system").exists():
+        _program(tmp_path / "bin" / "id", "echo 0")
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (1, "")
+        assert "wants a machine that systemd started, and this is none: leave it out" in done.stderr
+    assert not (tmp_path / "prefix").exists()
 
 
 @pytest.mark.parametrize("wrong", [["--prefix"], ["--frefix", "/x"], ["here"]])

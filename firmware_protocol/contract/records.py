@@ -108,7 +108,7 @@ class EncounterRecord(RecordHead, frozen=True, kw_only=True, tag="encounter"):
     sides: tuple[EncounterSide, ...] = ()
 
 
-class ModeRecord(RecordHead, frozen=True, kw_only=True, tag="mode"):
+class ModeRecord(RecordHead, frozen=True, kw_only=True, tag="mode", omit_defaults=True):
     """A biobot was in one mode from ``t_start_ns``, to ``t_end_ns`` or (None) until further notice."""
 
     node: AnyNode
@@ -117,6 +117,8 @@ class ModeRecord(RecordHead, frozen=True, kw_only=True, tag="mode"):
     t_start_ns: Nanoseconds
     t_end_ns: Nanoseconds | None
     error_ns: Nanoseconds
+    is_halted: bool = False
+    """It stands because all were stopped, and was not told to by itself: no landmark. Left out where it is not so."""
 
 
 class LandmarkCluster(Struct, frozen=True, kw_only=True):

@@ -6,6 +6,9 @@ from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 
 from gateway.commands.outcome import DONE, FAILED, complain
+from gateway.errors import InstallationError
+from gateway.installation.changes import describe
+from gateway.installation.checks import warn_of_missing
 from gateway.installation.install import install, install_below
 from gateway.installation.layout import CONFIGURATION, DATA, Wishes, choose_services
 from gateway.installation.plan import plan_installation, plan_removal
@@ -22,8 +25,8 @@ def add_install_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--site", help="name of the site, for configurations that are made (default: local)")
     parser.add_argument("--name", help="name of the gateway, for a gateway.toml that is made (default: base1)")
     parser.add_argument("--no-start", action="store_true", help="start nothing now; at the next boot it is")
-    help_text = "virtual environment that the units start (default: that of this program)"
-    parser.add_argument("--programs", type=Path, metavar="DIR", default=Path(sys.prefix), help=help_text)
+    help_text = "virtual environment that the units start (default: that of this program, if it is below --root)"
+    parser.add_argument("--programs", type=Path, metavar="DIR", help=help_text)
     _add_common(parser)
 
 
@@ -38,15 +41,17 @@ def install_service(options: argparse.Namespace) -> int:
     """Install or upgrade, or say what that would do."""
     wishes = Wishes(
         services=choose_services(options.services),
-        programs=_as_seen_from(options.root, options.programs),
+        programs=_programs(options.root, options.programs),
         ports=tuple(options.port),
         site=options.site,
         name=options.name,
     )
     ours = version("biobot-gateway")
+    if options.dry_run or options.root is not None:
+        complain(*warn_of_missing(_root(options), wishes.programs, services=wishes.services))
     if options.dry_run:
         plan = plan_installation(_root(options), wishes, record=read_record(_root(options)), version=ours)
-        _print_all([*map(str, plan.changes), *plan.notes])
+        _print_all([*map(describe, plan.changes), *plan.notes])
     elif options.root is not None:
         _print_all(install_below(options.root, wishes, version=ours).notes)
     else:
@@ -58,7 +63,7 @@ def uninstall_service(options: argparse.Namespace) -> int:
     """Remove, or say what that would remove."""
     if options.dry_run:
         plan = plan_removal(_root(options), record=read_record(_root(options)), purges=options.purge)
-        _print_all([*map(str, plan.changes), *plan.notes])
+        _print_all([*map(describe, plan.changes), *plan.notes])
         return DONE
     if options.purge and not options.yes and not _agrees():
         return complain("nothing was removed", status=FAILED)
@@ -78,12 +83,17 @@ def _root(options: argparse.Namespace) -> Path:
     return options.root or Path("/")
 
 
-def _as_seen_from(root: Path | None, programs: Path) -> PurePosixPath:
+def _programs(root: Path | None, programs: Path | None) -> PurePosixPath:
     """Return how the installed system names the folder of programs."""
-    programs = programs.absolute()
-    if root is not None and programs.is_relative_to(root.absolute()):
-        return PurePosixPath("/") / programs.relative_to(root.absolute())
-    return PurePosixPath(programs)
+    here = (programs or Path(sys.prefix)).absolute()
+    if root is None:
+        return PurePosixPath(here)
+    if here.is_relative_to(root.absolute()):
+        return PurePosixPath("/") / here.relative_to(root.absolute())
+    if programs is None:
+        next_step = "name the folder of programs as that system will, as with --programs /opt/biobot/VERSION"
+        raise InstallationError(what=f"this program's own folder, {here}", reason=f"is not below {root}", next_step=next_step)
+    return PurePosixPath(here)
 
 
 def _agrees() -> bool:

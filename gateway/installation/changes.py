@@ -1,10 +1,8 @@
-"""Changes to a tree of files: each knows what it will do, does it at once or not at all, and can be taken back."""
+"""Changes to a tree of files: each says what it will do, is done at once or not at all, and can be taken back."""
 
 import contextlib
-import os
 import shutil
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -17,10 +15,6 @@ class MakeFolder:
 
     path: PurePosixPath
 
-    def __str__(self) -> str:
-        """Say what is done."""
-        return f"make folder {self.path}"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriteFile:
@@ -30,10 +24,6 @@ class WriteFile:
     content: bytes
     why: str = ""
 
-    def __str__(self) -> str:
-        """Say what is done."""
-        return f"write {self.path}{f' ({self.why})' if self.why else ''}"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Link:
@@ -42,20 +32,12 @@ class Link:
     path: PurePosixPath
     target: PurePosixPath
 
-    def __str__(self) -> str:
-        """Say what is done."""
-        return f"link {self.path} to {self.target}"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Remove:
     """A file or link is removed, or a folder with all that is in it."""
 
     path: PurePosixPath
-
-    def __str__(self) -> str:
-        """Say what is done."""
-        return f"remove {self.path}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,12 +46,23 @@ class RemoveIfEmpty:
 
     path: PurePosixPath
 
-    def __str__(self) -> str:
-        """Say what is done."""
-        return f"remove {self.path} if it is empty"
-
 
 Change = MakeFolder | WriteFile | Link | Remove | RemoveIfEmpty
+
+
+def describe(change: Change) -> str:
+    """Say in one line what a change does."""
+    match change:
+        case MakeFolder():
+            return f"make folder {change.path}"
+        case WriteFile():
+            return f"write {change.path}{f' ({change.why})' if change.why else ''}"
+        case Link():
+            return f"link {change.path} to {change.target}"
+        case Remove():
+            return f"remove {change.path}"
+        case RemoveIfEmpty():
+            return f"remove {change.path} if it is empty"
 
 
 class AppliedChanges:
@@ -90,19 +83,16 @@ class AppliedChanges:
             except OSError as error:
                 self.take_back()
                 reason = (error.strerror or str(error)).lower()
-                raise InstallationError(
-                    what=f"cannot {change}", reason=reason, next_step="nothing was changed; make room, or look at its rights, and try again"
-                ) from error
+                next_step = "nothing was changed; make room, or look at its rights, and try again"
+                raise InstallationError(what=f"cannot {describe(change)}", reason=reason, next_step=next_step) from error
 
     def take_back(self) -> None:
         """Put back what was there before, the last change first."""
         while self._undo:
             path, before = self._undo.pop()
             with contextlib.suppress(OSError):
-                if isinstance(before, bytes):
-                    _write(path, before)
-                elif isinstance(before, Path):
-                    _link(path, before)
+                if before is not None:
+                    _put(path, before)
                 elif path.is_dir() and not path.is_symlink():
                     path.rmdir()
                 else:
@@ -112,26 +102,29 @@ class AppliedChanges:
         path = self._root / change.path.relative_to("/")
         match change:
             case MakeFolder():
-                path.mkdir(mode=0o755)
+                path.mkdir()
                 self._undo.append((path, None))
+                path.chmod(0o755)  # whatever this process's umask: the services' user reads what is in it
             case WriteFile():
-                before = _read(path)
-                _write(path, change.content)
-                self._undo.append((path, before))
+                self._replace(path, change.content)
             case Link():
-                before = _read(path)
-                _link(path, Path(change.target))
-                self._undo.append((path, before))
+                self._replace(path, Path(change.target))
             case Remove():
                 if path.is_dir() and not path.is_symlink():
                     shutil.rmtree(path)
                 else:
-                    before = _read(path)
-                    path.unlink(missing_ok=True)
-                    self._undo.append((path, before))
+                    self._replace(path, None)
             case RemoveIfEmpty():
                 with contextlib.suppress(OSError):
                     path.rmdir()
+
+    def _replace(self, path: Path, fresh: bytes | Path | None) -> None:
+        before = _read(path)
+        if fresh is None:
+            path.unlink(missing_ok=True)
+        else:
+            _put(path, fresh)
+        self._undo.append((path, before))
 
 
 def _read(path: Path) -> bytes | Path | None:
@@ -140,24 +133,26 @@ def _read(path: Path) -> bytes | Path | None:
     return path.read_bytes() if path.exists() else None
 
 
-def _write(path: Path, content: bytes) -> None:
-    """Write a file that is whole or not there, for everybody to read."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    fresh = Path(name)
-    try:
-        with open(handle, "wb") as file:  # noqa: PTH123  # a descriptor
-            file.write(content)
-        fresh.chmod(0o644)
-        fresh.replace(path)
-    except BaseException:
-        fresh.unlink(missing_ok=True)
-        raise
+def _put(path: Path, content: bytes | Path) -> None:
+    """Have a file, for everybody to read, or a link that leads to a path; it is whole or not there."""
+    with _beside(path) as fresh:
+        if isinstance(content, Path):
+            fresh.symlink_to(content)
+        else:
+            fresh.write_bytes(content)
+            fresh.chmod(0o644)
 
 
-def _link(path: Path, target: Path) -> None:
-    fresh = path.with_name(f".{path.name}.{os.getpid()}")
-    fresh.symlink_to(target)
+@contextlib.contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """Yield a name beside a path: what is made there takes the path's place at the end, or goes where it could not be made whole.
+
+    The name is always the same, so that what a process left that was killed here goes with the next attempt.
+    """
+    fresh = path.with_name(f".{path.name}.biobot-fresh")
+    fresh.unlink(missing_ok=True)
     try:
+        yield fresh
         fresh.replace(path)
     except BaseException:
         fresh.unlink(missing_ok=True)

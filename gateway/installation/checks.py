@@ -20,6 +20,7 @@ MIN_FREE_BYTES = 64 * 1024 * 1024
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # noqa: S108  # named because units do not see them
 """What ProtectHome= and PrivateTmp= of the units hide from them (systemd.exec(5))."""
 
+_MAKE_PROGRAMS = "install the wheel into a virtual environment there, and run its biobot-gateway; or name its folder with --programs"
 _PACKAGES = {"router": ("zenoh",), "gateway": ("zenoh", "serial", "uvicorn"), "mapper": ("zenoh", "fastapi", "scipy")}
 _EXTRAS = {"router": "gateway", "gateway": "gateway", "mapper": "mapper"}
 _LISTENS: dict[str, dict[str, object]] = {
@@ -30,15 +31,25 @@ _LISTENS: dict[str, dict[str, object]] = {
 """Where a service listens by default, by the keys of its configuration."""
 
 
+def missing_programs(root: Path, programs: PurePosixPath, *, services: Sequence[str]) -> list[str]:
+    """Return the programs that units are to start and that are not there below ``root``, by their paths on the installed system."""
+    wanted = dict.fromkeys(programs / "bin" / SERVICES[name].program for name in services)
+    return [str(path) for path in wanted if not (root / path.relative_to("/")).exists()]
+
+
+def warn_of_missing(root: Path, programs: PurePosixPath, *, services: Sequence[str]) -> list[str]:
+    """Return what has to be said where units are written for programs that are not there, which an image may still get."""
+    missing = missing_programs(root, programs, services=services)
+    where = "" if root == Path("/") else f" below {root}"
+    return [f"warning: {path} is not there{where}, and units are to start it: {_MAKE_PROGRAMS}" for path in missing]
+
+
 def check_programs(programs: PurePosixPath, *, services: Sequence[str]) -> None:
     """Raise ``InstallationError`` where the units could not start the programs that are there."""
-    here = Path(programs)
-    python = here / "bin" / "python"
+    if missing := missing_programs(Path("/"), programs, services=services):
+        raise InstallationError(what=missing[0], reason="is not there", next_step=_MAKE_PROGRAMS)
+    python = Path(programs) / "bin" / "python"
     for name in services:
-        program = here / "bin" / SERVICES[name].program
-        if not program.is_file():
-            next_step = "install the wheel into a virtual environment, and run its biobot-gateway; or name its folder with --programs"
-            raise InstallationError(what=str(program), reason="is not there", next_step=next_step)
         wanted = ", ".join(repr(package) for package in _PACKAGES[name])
         asked = f"from importlib.util import find_spec; print(*[one for one in ({wanted},) if find_spec(one) is None])"
         done = subprocess.run([str(python), "-c", asked], capture_output=True, text=True, check=False, cwd="/")

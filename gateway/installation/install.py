@@ -113,7 +113,10 @@ def _start_all(run: _Upgrade) -> None:
         run.tell(problem)
     for name in run.after.services:
         service = SERVICES[name]
-        if name not in run.was_running and (name in known or _is_held_up(run, name, obstacles)):
+        if name not in run.was_running and name in known:
+            run.tell(f"{service.unit} did not run, and is left so; systemctl start {service.unit} starts it")
+            continue
+        if name not in run.was_running and _is_held_up(run, name, obstacles):
             continue
         if not _comes_up(run, name):
             words = run.machine.last_words(service)

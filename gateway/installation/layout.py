@@ -14,6 +14,8 @@ COMMENT = "biobot services"
 CONFIGURATION = PurePosixPath("/etc/biobot")
 DATA = PurePosixPath("/var/lib/biobot")
 CACHE = PurePosixPath("/var/cache/biobot-mapper")
+FOLDERS_MADE = "folders-made"
+"""A file in the virtual environment: folders above it that had to be made for it, one a line (scripts/release/fresh_place.sh)."""
 RECORD = DATA / "installed.json"
 UNITS = PurePosixPath("/etc/systemd/system")
 WANTED = UNITS / "multi-user.target.wants"

@@ -13,6 +13,7 @@ from gateway.installation.layout import (
     COMMANDS,
     CONFIGURATION,
     DATA,
+    FOLDERS_MADE,
     RECORD,
     SERVICES,
     SIMULATOR,
@@ -76,8 +77,10 @@ def plan_installation(root: Path, wishes: Wishes, *, record: Record | None, vers
         links=links,
     )
     folders = _missing_folders(plan, [change.path for change in plan.changes if isinstance(change, WriteFile | Link)] + [RECORD])
-    after = msgspec.structs.replace(after, folders=(*before.folders, *map(str, folders)))
-    plan.changes[:0] = [MakeFolder(path=path) for path in folders]
+    all_folders = {*before.folders, *_folders_made_for(plan, wishes.programs), *map(str, folders)}
+    after = msgspec.structs.replace(after, folders=tuple(sorted(all_folders, key=lambda path: (path.count("/"), path))))
+    if plan.changes:
+        _announce(plan, before=before, after=after, folders=folders)
     if plan.content(RECORD) != encode_record(after):
         plan.changes.append(WriteFile(path=RECORD, content=encode_record(after)))
     plan.record = after
@@ -103,15 +106,18 @@ def plan_removal(root: Path, *, record: Record | None, purges: bool) -> Plan:
             plan.changes.append(Remove(path=dropins))
     if not purges:
         _plan_unchanged_defaults(plan, record)
-    wholes = [CACHE, *([CONFIGURATION, DATA] if purges else [])]
-    plan.changes += [Remove(path=path) for path in wholes if plan.here(path).exists()]
-    if not purges:
-        plan.changes += [Remove(path=RECORD)] if plan.here(RECORD).exists() else []
-        folders = (*(service.data for service in SERVICES.values()), DATA)
-        plan.changes += [RemoveIfEmpty(path=path) for path in folders if plan.here(path).is_dir()]
+    plan.changes += [Remove(path=path) for path in (CACHE, *([CONFIGURATION] if purges else [])) if plan.here(path).exists()]
     for programs in filter(None, (record.programs, record.previous)):
         plan.changes += remove_programs(root, PurePosixPath(programs))
-    plan.changes += [RemoveIfEmpty(path=PurePosixPath(path)) for path in reversed(record.folders)]
+    # The record goes when nothing is left that it alone knows of: a removal that was interrupted is done again.
+    folders = [PurePosixPath(path) for path in reversed(record.folders)]
+    plan.changes += [RemoveIfEmpty(path=path) for path in folders if not RECORD.is_relative_to(path)]
+    whole = DATA if purges else RECORD
+    plan.changes += [Remove(path=whole)] if plan.here(whole).exists() else []
+    if not purges:
+        data = (*(service.data for service in SERVICES.values()), DATA)
+        plan.changes += [RemoveIfEmpty(path=path) for path in data if plan.here(path).is_dir()]
+    plan.changes += [RemoveIfEmpty(path=path) for path in folders if RECORD.is_relative_to(path)]
     return plan
 
 
@@ -122,6 +128,33 @@ def remove_programs(root: Path, programs: PurePosixPath) -> list[Change]:
         return []
     around: list[Change] = [] if programs.parent in _SHARED else [RemoveIfEmpty(path=programs.parent)]
     return [Remove(path=programs), *around]
+
+
+def _announce(plan: Plan, *, before: Record, after: Record, folders: list[PurePosixPath]) -> None:
+    """Put the folders before the changes, and before all else a record of what may be made: what is interrupted is known, then.
+
+    Of the services it names those of before, since the new ones are not set up yet; what was there before is known by what it held before.
+    """
+    begun = msgspec.structs.replace(
+        before,
+        files=after.files | before.files,
+        defaults=after.defaults | before.defaults,
+        made=after.made | before.made,
+        links=tuple(dict.fromkeys((*before.links, *after.links))),
+        folders=after.folders,
+    )
+    makes = [MakeFolder(path=path) for path in folders]
+    plan.changes[:0] = [
+        *(change for change in makes if RECORD.is_relative_to(change.path)),
+        WriteFile(path=RECORD, content=encode_record(begun), why="of what is begun"),
+        *(change for change in makes if not RECORD.is_relative_to(change.path)),
+    ]
+
+
+def _folders_made_for(plan: Plan, programs: PurePosixPath) -> list[str]:
+    """Return the folders that the installer had to make above the programs, which go with them if nothing else is in them."""
+    content = plan.content(programs / FOLDERS_MADE)
+    return [] if content is None else [line for line in content.decode(errors="replace").splitlines() if line.startswith("/")]
 
 
 def digest(content: bytes) -> str:

@@ -30,7 +30,7 @@ COLUMNS: dict[Kind, dict[str, type]] = {
     },
     Kind.MODES: {
         "gateway": str, "journal": str, "offset": int, "boot": int, "sequence": int, "revision": int, "node": int, "mode": str,
-        "cause": str, "start_wall_ns": int, "end_wall_ns": int, "error_ns": int,
+        "cause": str, "start_wall_ns": int, "end_wall_ns": int, "error_ns": int, "is_halted": bool,
     },
     Kind.MISSION: {
         "gateway": str, "journal": str, "offset": int, "boot": int, "sequence": int, "revision": int, "phase": str,
@@ -158,6 +158,6 @@ def _row(record: JournalRecord) -> tuple[Value, ...]:
             paths = tuple(None if side is None else side.path_mm for side in both)
             return (*head, record.node_a, record.node_b, start_ns, end_ns, *flags, *strengths, *paths)
         case ModeRecord():
-            return (*head, record.node, record.mode.value, record.cause.value, start_ns, end_ns, record.error_ns)
+            return (*head, record.node, record.mode.value, record.cause.value, start_ns, end_ns, record.error_ns, record.is_halted)
         case MissionRecord():
             return (*head, record.phase.value, start_ns, " ".join(map(str, record.landmarks)), record.reason)

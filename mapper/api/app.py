@@ -1,6 +1,7 @@
 """The web application: endpoints, page, and what every request passes."""
 
 from collections.abc import Collection
+from http import HTTPStatus
 from importlib import resources
 from importlib.metadata import version
 from typing import Final
@@ -9,6 +10,7 @@ from fastapi import FastAPI, Response
 from fastapi.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 
+from mapper.api.descriptions import describe_problem
 from mapper.api.door import Door
 from mapper.api.errors import add_error_handlers
 from mapper.api.event_stream import EventStream
@@ -16,6 +18,7 @@ from mapper.api.guards import Guard
 from mapper.api.map_routes import quick_answers
 from mapper.api.packing import Packing
 from mapper.api.quick_answers import QuickAnswers
+from mapper.api.refusals import CHECKED
 from mapper.api.routes import make_router
 from mapper.api.schemas import Problem
 from mapper.api.security import describe_access
@@ -84,8 +87,11 @@ def create_unguarded_app(services: Services, *, stream: EventStream) -> FastAPI:
 
 
 def _complete_description(app: FastAPI, services: Services) -> None:
-    """Put what no endpoint says by itself into the OpenAPI document: whom it is for, and the schema of errors."""
+    """Put what no endpoint says by itself into the OpenAPI document: whom it is for, what is refused of every one, the schema of errors."""
     document = app.openapi()
     document.setdefault("components", {}).setdefault("schemas", {})[Problem.__name__] = Problem.model_json_schema()
+    for path, operations in document["paths"].items():
+        for operation in operations.values() if path.startswith(CHECKED) else ():
+            operation["responses"].setdefault("422", describe_problem(HTTPStatus.UNPROCESSABLE_ENTITY))
     describe_access(document, allows_anonymous_reading=services.access.allows_anonymous_reading)
     app.openapi_schema = document

@@ -15,6 +15,7 @@ from firmware_protocol.contract.commands import PulseRequest, Refusal, Stimulati
 from firmware_protocol.units import EVERYBODY, NodeId
 from mapper.access import person_of
 from mapper.api.command_schemas import (
+    COMMANDS_PATH,
     MAX_WAIT_S,
     STOP_PATH,
     AccountList,
@@ -31,6 +32,7 @@ from mapper.api.command_schemas import (
 )
 from mapper.api.command_views import view_account, view_command, view_mission, view_order, view_stop
 from mapper.api.descriptions import BODY_PROBLEMS, describe_answers
+from mapper.api.refusals import check_parameters
 from mapper.api.schemas import NodeText
 from mapper.api.services import Services
 from mapper.api.views import json_response
@@ -124,7 +126,7 @@ def _add_stop(router: APIRouter, services: Services) -> None:
 
 def _add_commands(router: APIRouter, services: Services) -> None:
     @router.post(
-        "/api/v1/commands",
+        COMMANDS_PATH,
         tags=["commands"],
         responses=describe_answers(
             CommandView,
@@ -146,6 +148,7 @@ def _add_commands(router: APIRouter, services: Services) -> None:
         """
         person, action = person_of(request), StimulationAction(body.action)
         if action not in STOPS:
+            check_parameters(request)
             services.access.limits.take_write(person)
         command = await services.commands.submit(
             Wish(
@@ -162,7 +165,7 @@ def _add_commands(router: APIRouter, services: Services) -> None:
         _check_outcome(command)
         return json_response(view_command(command), status=HTTPStatus.OK if has_ended(command) else HTTPStatus.ACCEPTED)
 
-    @router.get("/api/v1/commands", tags=["commands"], responses=describe_answers(CommandList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
+    @router.get(COMMANDS_PATH, tags=["commands"], responses=describe_answers(CommandList, (HTTPStatus.UNPROCESSABLE_ENTITY,)))
     async def get_commands(
         limit: Annotated[int, Query(ge=1, le=1000, description="Commands, at most")] = 50,
         part_of: Annotated[CommandId | None, Query(description="The parts of this stop of all, in place of all else")] = None,

@@ -9,6 +9,7 @@ from mapper.api.schemas import AnswerModel, NodeNumber, NodeText
 from mapper.emergency_stop import MAX_STOP_ID
 
 STOP_PATH: Final = "/api/v1/stop"
+COMMANDS_PATH: Final = "/api/v1/commands"
 MAX_WAIT_S: Final = 60.0
 
 _ID: Final = r"^[A-Za-z0-9._-]+$"

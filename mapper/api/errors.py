@@ -12,6 +12,7 @@ from starlette.exceptions import HTTPException
 
 from mapper.access import LastAdminError, NoTokenError, RateLimitError, RoleError, TokenFileError, TokenNameError, TokenNotFoundError
 from mapper.api.command_schemas import STOP_PATH
+from mapper.api.refusals import describe_fault, fields_of_body
 from mapper.errors import (
     BiobotNotFoundError,
     CommandNotFoundError,
@@ -40,6 +41,7 @@ from mapper.request_errors import (
     PinNotFoundError,
     PinRefusedError,
     TaskNotFoundError,
+    UnknownParameterError,
 )
 
 PROBLEM_TYPE: Final = "application/problem+json"
@@ -62,6 +64,7 @@ STATUS_OF: Final[Mapping[type[MapError], HTTPStatus]] = {
     PinRefusedError: HTTPStatus.CONFLICT,
     NoResultError: HTTPStatus.CONFLICT,
     OrderRefusedError: HTTPStatus.CONFLICT,
+    UnknownParameterError: HTTPStatus.UNPROCESSABLE_ENTITY,
     PeriodError: HTTPStatus.UNPROCESSABLE_ENTITY,
     OtherVersionError: HTTPStatus.CONFLICT,
     MapNotFoundError: HTTPStatus.NOT_FOUND,
@@ -122,6 +125,8 @@ def answer_error(error: MapError) -> Response:
             facts = {"role": error.role, "role_needed": error.needed}
         case RateLimitError():
             headers = {"Retry-After": str(ceil(error.wait_s))}
+        case UnknownParameterError():
+            facts = {"parameter": error.name, "parameters": error.known}
         case NoMapYetError():
             facts = {"state": "waiting", "n_encounters": error.n_encounters, "minimum": error.minimum}
         case CommandRefusedError():
@@ -141,7 +146,10 @@ async def _on_map_error(request: Request, error: Exception) -> Response:
 
 
 async def _on_invalid_request(request: Request, error: Exception) -> Response:
-    faults = [_describe(fault) for fault in error.errors()] if isinstance(error, RequestValidationError) else [str(error)]
+    fields = fields_of_body(request)
+    faults = (
+        [describe_fault(fault, fields=fields) for fault in error.errors()] if isinstance(error, RequestValidationError) else [str(error)]
+    )
     shown = faults[:_MAX_SHOWN_FAULTS]
     warning = "nothing was stopped (a POST without a body stops all): " if request.url.path == STOP_PATH else ""
     return problem(HTTPStatus.UNPROCESSABLE_ENTITY, detail=warning + "; ".join(shown), facts={"faults": shown})
@@ -159,10 +167,3 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
 
 async def _on_unforeseen(_request: Request, _error: Exception) -> Response:
     return problem(HTTPStatus.INTERNAL_SERVER_ERROR, detail="an unforeseen error; its details are in the mapper's log")
-
-
-def _describe(fault: Mapping[str, object]) -> str:
-    # The value itself is not repeated: it may be long, or no valid text.
-    place = fault.get("loc")
-    where = ".".join(str(part) for part in place) if isinstance(place, tuple) else "request"
-    return f"{where}: {fault.get('msg')}"

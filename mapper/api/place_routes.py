@@ -92,7 +92,7 @@ def _add_pins(router: APIRouter, services: Services) -> None:
         is_new = await services.pins.put(pin)
         await services.current_map.frame_again()
         # It may be another by now, or gone: what was put is told.
-        return json_response(_view(pin, _places(services).get(pin, PinOnMap())), status=HTTPStatus.CREATED if is_new else HTTPStatus.OK)
+        return json_response(_view(pin, pin_places(services).get(pin, PinOnMap())), status=HTTPStatus.CREATED if is_new else HTTPStatus.OK)
 
     @router.delete(
         "/api/v1/pins/{name}",
@@ -122,11 +122,12 @@ def view_pins(services: Services) -> dict[str, object]:
 
 
 def _view_all(services: Services) -> list[dict[str, object]]:
-    places = _places(services)
+    places = pin_places(services)
     return [_view(pin, places.get(pin, PinOnMap())) for pin in services.pins.pins]
 
 
-def _places(services: Services) -> dict[NamedPin, PinOnMap]:
+def pin_places(services: Services) -> dict[NamedPin, PinOnMap]:
+    """Say where pins are on the newest map; one that came since is not there."""
     latest = services.current_map.latest
     framing = None if latest is None else latest.finished.documents.framing
     return {} if framing is None else dict(zip(framing.pins, framing.places, strict=True))

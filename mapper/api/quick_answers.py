@@ -21,7 +21,10 @@ Answer = Callable[[Headers], Awaitable[Response]]
 
 
 class QuickAnswers:
-    """An application before another: it answers GET of some paths. What fails is asked of the other, which knows how to say so."""
+    """An application before another: it answers GET of some paths, without a query.
+
+    What fails is asked of the other, which knows how to say so; and so is what has a query, which these endpoints do not have.
+    """
 
     def __init__(self, app: ASGIApp, answers: Mapping[str, Answer]) -> None:
         self._app = app
@@ -29,7 +32,8 @@ class QuickAnswers:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
-        answer = self._answers.get(scope["path"]) if scope["type"] == "http" and scope["method"] == "GET" else None
+        is_short = scope["type"] == "http" and scope["method"] == "GET" and not scope["query_string"]
+        answer = self._answers.get(scope["path"]) if is_short else None
         if answer is None:
             await self._app(scope, receive, send)
             return

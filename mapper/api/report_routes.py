@@ -11,9 +11,11 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from mapper.api.descriptions import describe_answers
+from mapper.api.place_routes import pin_places
 from mapper.api.services import Services
 from mapper.command_log import KEPT
 from mapper.mission_report import ReportFacts, write_report
+from mapper.named_pins import PinOnMap
 from mapper.store import Store
 
 HTML_TYPE = "text/html"
@@ -46,6 +48,7 @@ async def _gather(services: Services) -> ReportFacts:
     latest, now_ns = services.current_map.latest, time.monotonic_ns()
     missions = await services.records.call(Store.missions)
     history = services.history.page()[0]
+    places = pin_places(services)
     return ReportFacts(
         site=services.bus.site,
         now_wall_ns=time.time_ns(),
@@ -63,4 +66,5 @@ async def _gather(services: Services) -> ReportFacts:
         commands=services.commands.log.recent(limit=KEPT),
         missions=missions,
         faults=services.faults(),
+        pins=[(pin, places.get(pin, PinOnMap())) for pin in services.pins.pins],
     )

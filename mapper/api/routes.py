@@ -9,7 +9,7 @@ from http import HTTPStatus
 from importlib.metadata import version
 from typing import Annotated, Final
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from mapper.access import person_of
 from mapper.api.alert_routes import add_alert_routes
@@ -22,6 +22,7 @@ from mapper.api.map_routes import add_map_routes
 from mapper.api.past_routes import add_past_routes
 from mapper.api.picture_routes import add_picture_routes
 from mapper.api.place_routes import add_place_routes
+from mapper.api.refusals import refuse_unknown_parameters
 from mapper.api.report_routes import add_report_routes
 from mapper.api.schemas import (
     BiobotList,
@@ -48,7 +49,7 @@ _MAX_CURSOR: Final = 2**63 - 1
 
 def make_router(services: Services, stream: EventStream) -> APIRouter:
     """Make all endpoints."""
-    router = APIRouter()
+    router = APIRouter(dependencies=[Depends(refuse_unknown_parameters)])
     add_map_routes(router, services)
     add_picture_routes(router, services)
     add_place_routes(router, services)

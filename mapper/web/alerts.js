@@ -18,7 +18,7 @@ export class Alerts {
     Object.assign(this, { badge, account, live, onBiobot, onLow });
     this.known = null;
     this.items = new Map();
-    this.groups = new Map();
+    this.groups = { on: new Map(), over: new Map() };
     this.now = make("ul", { className: "alert-list", "aria-label": "Alerts that hold" });
     this.over = make("ul", { className: "alert-list over", "aria-label": "Alerts that are over" });
     this.none = make("p", { className: "empty" }, "No alert is in force.");
@@ -33,8 +33,8 @@ export class Alerts {
   show(alerts) {
     const sorted = [...alerts].sort((a, b) => RANK[a.severity] - RANK[b.severity] || b.since_wall_ns - a.since_wall_ns);
     const on = sorted.filter((alert) => alert.is_on), over = sorted.filter((alert) => !alert.is_on);
-    this.fillGrouped(on);
-    this.fill(this.over, over);
+    this.fillGrouped(this.now, "on", on);
+    this.fillGrouped(this.over, "over", over);
     const kept = new Set(alerts.map(({ id }) => id));
     [...this.items.keys()].filter((id) => !kept.has(id)).forEach((id) => this.remove(id));
     this.none.hidden = on.length > 0;
@@ -62,21 +62,22 @@ export class Alerts {
     this.put(list, alerts.map((alert) => this.itemOf(alert).element));
   }
 
-  /** Those that hold: many of a kind in one entry, which stands where the first of them would. */
-  fillGrouped(alerts) {
+  /** Those that hold, or that are over: many of a kind in one entry, which stands where the first of them would. */
+  fillGrouped(list, name, alerts) {
+    const groups = this.groups[name];
     const kinds = new Map();
     alerts.forEach((alert) => kinds.set(alert.kind, [...(kinds.get(alert.kind) ?? []), alert]));
     const grouped = new Map([...kinds].filter(([, ofKind]) => ofKind.length > MAX_SINGLE));
-    [...this.groups.keys()].filter((kind) => !grouped.has(kind)).forEach((kind) => {
-      this.groups.get(kind).remove();
-      this.groups.delete(kind);
-    });
     for (const [kind, ofKind] of grouped) {
-      if (!this.groups.has(kind)) this.groups.set(kind, new AlertGroup({ kind, account: this.account, onAcknowledge: (ids) => this.acknowledge(ids) }));
-      this.groups.get(kind).show(ofKind);
-      this.fill(this.groups.get(kind).list, ofKind);
+      if (!groups.has(kind)) groups.set(kind, new AlertGroup({ kind, account: this.account, onAcknowledge: (ids) => this.acknowledge(ids) }));
+      groups.get(kind).show(ofKind);
+      this.fill(groups.get(kind).list, ofKind);
     }
-    this.put(this.now, [...new Set(alerts.map((alert) => (this.groups.get(alert.kind) ?? this.itemOf(alert)).element))]);
+    this.put(list, [...new Set(alerts.map((alert) => (grouped.has(alert.kind) ? groups.get(alert.kind) : this.itemOf(alert)).element))]);
+    [...groups.keys()].filter((kind) => !grouped.has(kind)).forEach((kind) => {
+      groups.get(kind).remove();
+      groups.delete(kind);
+    });
   }
 
   itemOf(alert) {

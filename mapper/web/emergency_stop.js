@@ -2,11 +2,14 @@
 // it is always sent, and where the mapper refuses it, the page says so and what to do.
 
 import { describe } from "./commands.js";
+import { make } from "./dom.js";
 import { getJson, send } from "./net.js";
 
 const LOOK_MS = 400;
 const LONGEST_S = 60;
 const MAX_SHOWN = 30;
+// More than these are named for who wants to know: on a phone the panel is small.
+const MANY = 8;
 const TRIES = 4;
 const PATIENCE_MS = 5000;
 const OTHERWISE = "On the machine of a gateway: biobot-gateway stop --all";
@@ -72,19 +75,24 @@ export class EmergencyStop {
     const lines = command.answers.map((answer) => ({ isFine: describe(answer).isFine, text: `${answer.gateway}: ${words(answer)}` }));
     const confirmed = parts.commands.filter((part) => part.outcome === "biobot_confirmed").map((part) => part.biobot);
     const others = parts.commands.filter((part) => part.outcome !== "biobot_confirmed").map((part) => part.biobot);
-    if (confirmed.length) lines.push({ isFine: true, text: `confirmed by ${list(confirmed)}` });
-    if (others.length) lines.push({ isFine: command.outcome === null ? null : false, text: `not by ${list(others)}` });
+    const isMany = confirmed.length > MANY;
+    if (confirmed.length) lines.push({ isFine: true, text: `confirmed by ${isMany ? number(confirmed) : named(confirmed)}`, more: isMany ? list(confirmed) : "" });
+    // Whoever may walk on is named outright.
+    if (others.length) lines.push({ isFine: command.outcome === null ? null : false, text: `not by ${named(others)}` });
     return { ...command, lines };
   }
 
   show(text, isFine, lines) {
     if (this.title.textContent !== text) this.title.textContent = text;
     this.panel.className = `stop-panel ${tone(isFine)}`;
-    this.lines.replaceChildren(...lines.map((line) => {
-      const item = document.createElement("li");
-      item.className = tone(line.isFine);
-      item.textContent = line.text;
-      return item;
+    // What is said again is not spoken again, and what was opened stays open.
+    const said = JSON.stringify(lines);
+    if (said === this.said) return;
+    this.said = said;
+    const isOpen = this.lines.querySelector("details")?.open ?? false;
+    this.lines.replaceChildren(...lines.map(({ isFine: isGood, text: words, more }) => {
+      const line = more ? make("details", { open: isOpen }, make("summary", {}, words), more) : words;
+      return make("li", { className: tone(isGood) }, line);
     }));
   }
 }
@@ -98,7 +106,14 @@ function tone(isFine) {
   return isFine === null ? "" : isFine ? "good" : "bad";
 }
 
+function number(ids) {
+  return ids.length === 1 ? `biobot ${ids[0]}` : `${ids.length} biobots`;
+}
+
+function named(ids) {
+  return ids.length === 1 ? number(ids) : `${number(ids)}: ${list(ids)}`;
+}
+
 function list(ids) {
-  const shown = [...ids].sort((a, b) => a - b).slice(0, MAX_SHOWN).join(", ");
-  return ids.length === 1 ? `biobot ${shown}` : `${ids.length} biobots: ${shown}${ids.length > MAX_SHOWN ? ", …" : ""}`;
+  return [...ids].sort((a, b) => a - b).slice(0, MAX_SHOWN).join(", ") + (ids.length > MAX_SHOWN ? ", …" : "");
 }

@@ -4,8 +4,10 @@
 import { stretch } from "./affine.js";
 
 const BATCH = 50;
-const LOOK_AFTER = 4000;
 const STEP_MS = 7;
+// What is asked of a canvas is only noted until somebody looks at it: it is looked at after so many shapes, which takes a few milliseconds, as
+// each look costs something, too.
+const LOOK_AFTER = 1000;
 const SHADES = 12;
 const POINT_PX = 3.1;
 const LEAST_REGION_PX = 9;
@@ -16,6 +18,7 @@ export class Ground {
     this.front = makeLayer();
     this.back = makeLayer();
     this.scratch = makeLayer();
+    this.looks = new Looks();
     this.running = null;
   }
 
@@ -37,7 +40,8 @@ export class Ground {
       this.front.view = facts.view;
       this.onDone();
     };
-    go();
+    // Who has just laid out a map has done enough for this frame.
+    requestAnimationFrame(go);
   }
 
   /** Put the layer down as it lies under another view. */
@@ -60,12 +64,14 @@ export class Ground {
       yield;
     }
     if (shown.complex) {
-      yield* triangles(scratch, complex.triangles, places, colours.complex);
+      yield* triangles(scratch, yield* complex.covering(), places, colours.complex, this.looks);
       // Solid first and put down once: what lies under many triangles is as light as under one.
       this.lay(context, 0.3, width, height);
-      yield* edges(context, complex.edges, places, colours.edge);
+      yield* edges(context, complex.edges, places, colours.edge, this.looks);
     }
     if (shown.points) yield* points(context, scene, places, colours);
+    this.looks.look(context);
+    yield;
   }
 
   lay(context, alpha, width, height) {
@@ -127,13 +133,29 @@ function hatch(context, colour, width, height, ratio) {
   context.globalCompositeOperation = "source-over";
 }
 
+/** Has a canvas carry out what was asked of it, a part at a time. */
+class Looks {
+  constructor() {
+    this.probe = document.createElement("canvas").getContext("2d");
+    this.open = 0;
+  }
+
+  /** So many more shapes were asked for. */
+  note(context, number) {
+    this.open += number;
+    if (this.open >= LOOK_AFTER) this.look(context);
+  }
+
+  look(context) {
+    this.probe.drawImage(context.canvas, 0, 0, 1, 1, 0, 0, 1, 1);
+    this.open = 0;
+  }
+}
+
 /** Small paths: the time to fill one grows faster than its number of triangles. */
-function* triangles(context, flat, places, colour) {
+function* triangles(context, flat, places, colour, looks) {
   context.fillStyle = colour;
-  const probe = document.createElement("canvas").getContext("2d");
   for (let begin = 0; begin < flat.length; begin += 3 * BATCH) {
-    // What is asked of a canvas is only noted until somebody looks at it: looking now and then spreads the work over the frames.
-    if ((begin / 3) % LOOK_AFTER === 0) probe.drawImage(context.canvas, 0, 0, 1, 1, 0, 0, 1, 1);
     context.beginPath();
     for (let i = begin; i < Math.min(begin + 3 * BATCH, flat.length); i += 3) {
       context.moveTo(...places[flat[i]]);
@@ -142,11 +164,12 @@ function* triangles(context, flat, places, colour) {
       context.closePath();
     }
     context.fill("nonzero");
+    looks.note(context, BATCH);
     yield;
   }
 }
 
-function* edges(context, pairs, places, colour) {
+function* edges(context, pairs, places, colour, looks) {
   context.globalAlpha = Math.min(0.5, Math.max(0.035, 130 / (pairs.length || 1)));
   context.strokeStyle = colour;
   context.lineWidth = 0.7;
@@ -157,6 +180,7 @@ function* edges(context, pairs, places, colour) {
       context.lineTo(...places[pairs[i][1]]);
     }
     context.stroke();
+    looks.note(context, 4 * BATCH);
     yield;
   }
   context.globalAlpha = 1;

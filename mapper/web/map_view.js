@@ -5,7 +5,7 @@ import { listen } from "./gestures.js";
 import { Ground } from "./map_ground.js";
 import { drawMarks } from "./map_marks.js";
 import { isInside, makeScene } from "./map_scene.js";
-import { complexAt, cover } from "./simplices.js";
+import { complexAt, Complex } from "./simplices.js";
 import { Viewport } from "./viewport.js";
 
 const PADDING = { left: 30, right: 30, top: 34, bottom: 46 };
@@ -27,7 +27,7 @@ export class MapView {
     this.chosen = null;
     this.shown = { complex: true, points: true, holes: true, landmarks: true, uncertain: true };
     this.marks = { pins: [], routes: [], spot: null };
-    this.complex = { edges: [], triangles: [] };
+    this.complex = new Complex({ edges: [], triangles: [] }, []);
     this.viewport = new Viewport();
     this.ground = new Ground({ onDone: () => this.refresh() });
     this.isWaiting = false;
@@ -53,8 +53,8 @@ export class MapView {
   /** `lengths` and `share`: the complex at a scale other than the map's own; a share of null is the map's own. */
   setComplex(lengths, share) {
     const { places, map } = this.scene;
-    const { edges, triangles } = share === null ? { edges: map.complex.edges, triangles: map.complex.triangles.flat() } : complexAt(lengths, share, { most: MOST_TRIANGLES });
-    this.complex = { edges, triangles: cover(triangles, places) };
+    const own = () => ({ edges: map.complex.edges, triangles: map.complex.triangles.flat() });
+    this.complex = new Complex(share === null ? own() : complexAt(lengths, share, { most: MOST_TRIANGLES }), places);
     this.repaint();
   }
 

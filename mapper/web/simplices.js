@@ -60,19 +60,55 @@ const CLASSES = 24;
  * where an edge of its has none on that side yet. A Rips complex has many times more, which only hide each other.
  */
 export function cover(flat, places) {
+  const steps = coverSteps(flat, places);
+  for (;;) {
+    const { done, value } = steps.next();
+    if (done) return value;
+  }
+}
+
+/** Edges, and the triangles that cover all there are: found in short steps, and once, whoever asks for them and however often. */
+export class Complex {
+  constructor({ edges, triangles }, places) {
+    this.edges = edges;
+    this.steps = coverSteps(triangles, places);
+    this.covered = null;
+  }
+
+  /** A generator that yields now and then and returns them, as a flat list of triples. */
+  *covering() {
+    while (this.covered === null) {
+      const { done, value } = this.steps.next();
+      if (done) this.covered = value;
+      else yield;
+    }
+    return this.covered;
+  }
+}
+
+const STRIDE = 4000;
+
+function* coverSteps(flat, places) {
   const n = places.length, number = flat.length / 3;
   const areas = new Float64Array(number);
   let largest = 0;
   for (let i = 0; i < number; i += 1) {
     areas[i] = twiceArea(places[flat[3 * i]], places[flat[3 * i + 1]], places[flat[3 * i + 2]]);
     largest = Math.max(largest, Math.abs(areas[i]));
+    if (i % STRIDE === STRIDE - 1) yield;
   }
   // Sorted into classes, each half as large as the one before: exact order would cost more than it is worth.
   const classes = Array.from({ length: CLASSES }, () => []);
-  for (let i = 0; i < number; i += 1) classes[Math.min(CLASSES - 1, Math.floor(Math.log2(largest / Math.abs(areas[i]))) || 0)].push(i);
+  for (let i = 0; i < number; i += 1) {
+    classes[Math.min(CLASSES - 1, Math.floor(Math.log2(largest / Math.abs(areas[i]))) || 0)].push(i);
+    if (i % STRIDE === STRIDE - 1) yield;
+  }
   const sides = new Uint8Array(n * n);
   const kept = [];
+  let nSeen = 0;
   for (const i of classes.flat()) {
+    nSeen += 1;
+    if (nSeen % STRIDE === 0) yield;
     const corners = [flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]];
     let isNeeded = false;
     for (let k = 0; k < 3; k += 1) {

@@ -1,4 +1,5 @@
 // The line of state at the top: the connection, the mission, how many biobots are there, how old the map is; and the banner of what is wrong.
+// It is no live region: that the line is down or up again is said once, and what is wrong with gateways and radios is an alert, which is said.
 
 import { say } from "./announce.js";
 import { setClass, setText } from "./dom.js";
@@ -76,7 +77,7 @@ export class StateLine {
     element("freshness").hidden = !this.hasMap;
     if (!element("freshness").hidden) {
       const { begun_wall_ns: begunNs, n_waiting: nWaiting, waiting } = this.map;
-      setText(element("age"), age(this.live.serverNow() - secondsOf(begunNs)) + (nWaiting ? ` +${count(nWaiting)}` : ""));
+      setText(element("age"), age(this.live.serverNow() - secondsOf(begunNs)) + (nWaiting ? `, ${count(nWaiting)} to come` : ""));
       element("freshness").title = waiting ?? (nWaiting ? `${count(nWaiting)} records have come since and wait for the next map` : "of all records that have come");
     }
     this.showLink();

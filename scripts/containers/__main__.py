@@ -6,14 +6,14 @@ import platform
 import subprocess
 import sys
 import time
-import tomllib
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from scripts.containers.checks import check_demo, check_site
+from scripts.containers.checks import check_demo, check_labels, check_site
 from scripts.containers.podman import CheckFailedError, Podman, missing
 from scripts.debian_root import make_root
+from scripts.release.version import read_version, source_revision
 
 _ROOT = Path(__file__).parents[2]
 _TARGETS = ("gateway", "router", "mapper", "simulator")
@@ -72,11 +72,12 @@ def _build(podman: Podman, facts: dict[str, object]) -> None:
         with subprocess.Popen(["tar", "--directory", str(root), "--create", "."], stdout=subprocess.PIPE) as archive:
             podman.load_root(archive.stdout, name=_BASE)
         print(f"{_BASE} made by debootstrap in {time.monotonic() - started:.0f} s", flush=True)
-    version = tomllib.loads((_ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    values = {"VERSION": read_version(), "REVISION": source_revision()}
     images = {}
     for target in _TARGETS:
         tag = f"localhost/biobot-{target}:latest"
-        took_s = podman.build(target, tag=tag, dockerfile=_ROOT / "docker" / "Dockerfile", context=_ROOT, version=version)
+        took_s = podman.build(target, tag=tag, dockerfile=_ROOT / "docker" / "Dockerfile", context=_ROOT, values=values)
+        check_labels(podman, target, tag=tag, values=values)
         size_mb = int(podman.run("image", "inspect", "--format", "{{.Size}}", tag)) / 1e6
         images[target] = {"size_mb": round(size_mb), "build_s": round(took_s)}
         print(f"{target:10} {size_mb:5.0f} MB, built in {took_s:.0f} s", flush=True)

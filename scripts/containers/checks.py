@@ -7,20 +7,33 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from scripts.containers.podman import CheckFailedError, Podman
 from scripts.containers.project import UID, Project, fetch, until
+from scripts.release.version import read_version
 
 _DOCKER = Path(__file__).parents[2] / "docker"
 _TOKEN = re.compile(r"biobot_[0-9a-f]+_[0-9a-f]+")
+_OCI = "org.opencontainers.image."
 _PAGE_TITLE = b"<title>biobot"
 _DONGLE_GROUP = "20"
 _BUS_PORT, _HTTP_PORT, _HTTPS_PORT = "17447", "18000", "18443"
 
 Say = Callable[[str], None]
+
+
+def check_labels(podman: Podman, target: str, *, tag: str, values: Mapping[str, str]) -> None:
+    """See what an image says of itself (OCI image specification, annotations)."""
+    labels: dict[str, str] = json.loads(podman.run("image", "inspect", "--format", "{{json .Labels}}", tag))
+    wanted = {"title": f"biobot {target}", "version": values["VERSION"], "revision": values["REVISION"], "licenses": "Apache-2.0"}
+    for name, value in wanted.items():
+        if (found := labels.get(f"{_OCI}{name}")) != value:
+            raise CheckFailedError(f"{tag}: label {name} is {found!r} in place of {value!r}")
+    if not labels.get(f"{_OCI}description"):
+        raise CheckFailedError(f"{tag}: no description among its labels")
 
 
 def check_demo(podman: Podman, say: Say) -> None:
@@ -36,6 +49,7 @@ def check_demo(podman: Podman, say: Say) -> None:
     with project:
         say(f"up after {time.monotonic() - started:.0f} s")
         _check_services(project, hangs=("gateway", "mapper"), say=say)
+        _check_version(project, say=say)
         token = _make_token(project, "--store", "/var/lib/biobot/mapper.sqlite")
         _check_page(f"http://127.0.0.1:{_HTTP_PORT}", token=token, n_holes=2, ca=None, say=say)
     _check_gone(podman, project)
@@ -97,6 +111,16 @@ def _check_services(project: Project, *, hangs: tuple[str, ...], say: Say) -> No
     for service in hangs:
         project.check_notices_a_hang(service)
     say(f"health checks fail while the process hangs, and pass again after: {', '.join(hangs)}")
+
+
+def _check_version(project: Project, *, say: Say) -> None:
+    """See that what runs in each container is of the version that its image says."""
+    for service in project.services:
+        program = "biobot-sim" if service == "simulator" else f"biobot-{service}"
+        told = project.inside(service, program, "--version").split()[-1]
+        if told != read_version():
+            raise CheckFailedError(f"{service}: the program says that it is version {told}, and its image {read_version()}")
+    say(f"all programs are of version {read_version()}, as their images say")
 
 
 def _make_token(project: Project, *where: str) -> str:

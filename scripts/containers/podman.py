@@ -57,10 +57,11 @@ class Podman:
         }
         self._secrets = _pip_secrets(home)
 
-    def build(self, target: str, *, tag: str, dockerfile: Path, context: Path, version: str) -> float:
+    def build(self, target: str, *, tag: str, dockerfile: Path, context: Path, values: Mapping[str, str]) -> float:
         """Build a target of a Dockerfile, its log in ``home/build-TARGET.log``; return how long that took [s]."""
         log = self.home / f"build-{target}.log"
-        command = ["buildah", "bud", "--format", "docker", "--layers", *self._secrets, "--build-arg", f"VERSION={version}"]
+        command = ["buildah", "bud", "--format", "docker", "--layers", *self._secrets]
+        command += [part for name, value in values.items() for part in ("--build-arg", f"{name}={value}")]
         command += ["--target", target, "--tag", tag, "--file", str(dockerfile), str(context)]
         started = time.monotonic()
         with log.open("w", encoding="utf-8") as out:

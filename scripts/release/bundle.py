@@ -25,6 +25,7 @@ from scripts.release.version import ROOT, read_version, source_moment
 from scripts.release.wheels import ReleaseError, build_universal, download_wheels, make_sdist, make_wheel
 
 LOCK = ROOT / "requirements" / "bundle.txt"
+_ENVIRONMENT_MB = 20
 _README = """biobot {version}, to be installed without a network
 
     sh install.sh --help
@@ -44,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     targets = [Target(python=python, machine=machine) for machine in options.machine for python in options.python]
     options.out.mkdir(parents=True, exist_ok=True)
+    # Wheels are built in other folders than this one.
+    options.out = options.out.resolve()
     with tempfile.TemporaryDirectory(dir=options.out, prefix=".bundle-") as place:
         try:
             tree = assemble(targets, Path(place))
@@ -95,18 +98,36 @@ def assemble(targets: list[Target], place: Path) -> Path:
     shutil.copyfile(sdist, tree / sdist.name)
     for source, name in (
         (ROOT / "scripts/release/install.sh", "install.sh"),
+        (ROOT / "scripts/release/fresh_place.sh", "fresh_place.sh"),
         (ROOT / "LICENSE", "LICENSE"),
         (ROOT / "CHANGELOG.md", "CHANGELOG.md"),
     ):
         shutil.copyfile(source, tree / name)
     (tree / "VERSION").write_text(f"{version}\n")
     (tree / "GLIBC").write_text(f"{glibc}\n")
+    (tree / "ROOM").write_text(f"{room_needed(wheels, requirements)}\n")
     (tree / "README.txt").write_text(_README.format(version=version, glibc=glibc, targets=", ".join(target.name for target in targets)))
     _copy_licences(packed, tree / "licences")
     write_sbom(make_sbom(lock=LOCK, wheels=packed, moment=source_moment()), tree / "sbom.cdx.json")
     files = sorted(path.relative_to(tree) for path in tree.rglob("*") if path.is_file())
     (tree / "SHA256SUMS").write_text("".join(f"{_sha256(tree / path)}  {path}\n" for path in files))
     return tree
+
+
+def room_needed(wheels: Path, requirements: Path) -> int:
+    """Return how much an installation takes where it takes most [MB]: what is in the wheels, Python twice, as it is and compiled.
+
+    Files fill blocks of 4096 octets, and the environment itself is small.
+    """
+    sizes: dict[str, int] = {}
+    for wheel in wheels.iterdir():
+        with zipfile.ZipFile(wheel) as content:
+            blocks = [(entry.filename, -(-entry.file_size // 4096) * 4096) for entry in content.infolist()]
+        name, version, _, _ = parse_wheel_filename(wheel.name)
+        size = sum(octets * (2 if path.endswith(".py") else 1) for path, octets in blocks)
+        sizes[f"{name}=={version}"] = max(size, sizes.get(f"{name}=={version}", 0))
+    rooms = [sum(sizes[line.split()[0]] for line in path.read_text().splitlines()) for path in requirements.iterdir()]
+    return max(rooms) // 1_000_000 + _ENVIRONMENT_MB
 
 
 def pack(tree: Path, archive: Path) -> None:

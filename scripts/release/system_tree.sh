@@ -7,9 +7,13 @@ set -eu
 suite=$1 architecture=$2 folder=$3
 command -v debootstrap >/dev/null || { echo "error: no debootstrap here: apt-get install debootstrap" >&2; exit 1; }
 [ ! -e "$folder" ] || { echo "error: $folder is there already" >&2; exit 1; }
+mkdir -p "$(dirname "$folder")"
+folder=$(cd "$(dirname "$folder")" && pwd)/$(basename "$folder")  # debootstrap works in other folders
 script=/usr/share/debootstrap/scripts/$suite
 [ -e "$script" ] || script=/usr/share/debootstrap/scripts/sid  # a suite that is younger than debootstrap
 fetched=$folder.fetched
+rm -rf "$fetched"
+trap 'rm -rf "$fetched"' EXIT
 # The mirror that this machine itself is set up for, where it has one.
 mirror=${MIRROR:-$(apt-get indextargets --format '$(SITE)' 'Created-By: Packages' 2>/dev/null | grep -m1 '/debian/*$' || true)}
 # shellcheck disable=SC2086  # no mirror: no argument
@@ -21,5 +25,4 @@ for package in "$fetched"/var/cache/apt/archives/*.deb; do
   dpkg-deb --fsys-tarfile "$package" | tar -x --keep-directory-symlink -C "$folder"
 done
 mkdir -p "$folder/tmp" "$folder/proc" "$folder/dev"
-rm -rf "$fetched"
 echo "$folder"

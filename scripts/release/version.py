@@ -19,11 +19,20 @@ def read_version(root: Path = ROOT) -> str:
 
 def source_moment() -> int:
     """Return when these sources were committed [s, Unix time]: ``SOURCE_DATE_EPOCH``, else what git says, else 1980, where zip begins."""
-    told = os.environ.get("SOURCE_DATE_EPOCH")
-    if told is None:
-        done = subprocess.run(["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True, check=False)
-        told = done.stdout.strip() or "315532800"
-    return int(told)
+    return int(os.environ.get("SOURCE_DATE_EPOCH") or _ask_git("log", "-1", "--format=%ct") or 315532800)
+
+
+def source_revision() -> str:
+    """Return the commit that these sources are of, with ``-changed`` where they differ from it; ``unknown`` where git does not know."""
+    commit = _ask_git("rev-parse", "HEAD")
+    return f"{commit}-changed" if commit and _ask_git("status", "--porcelain", "--untracked-files=no") else commit or "unknown"
+
+
+def _ask_git(*question: str) -> str:
+    try:
+        return subprocess.run(["git", *question], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+    except FileNotFoundError:
+        return ""
 
 
 if __name__ == "__main__":

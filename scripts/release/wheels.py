@@ -9,7 +9,7 @@ import tarfile
 from pathlib import Path
 
 from scripts.release.lock_file import Pin, Target
-from scripts.release.version import ROOT
+from scripts.release.version import ROOT, source_moment
 
 WITHOUT_WHEELS = frozenset({"cobs"})
 """Packages that come as sources alone. Each is built once, without a compiler, into a wheel for every machine: cobs does in Python then
@@ -25,7 +25,7 @@ class ReleaseError(Exception):
 def make_sdist(folder: Path) -> Path:
     """Make the sdist of this source tree in a folder, and return its path."""
     code = "import sys; from hatchling.build import build_sdist; print(build_sdist(sys.argv[1]))"
-    return folder / _run([sys.executable, "-c", code, str(folder)], cwd=ROOT).splitlines()[-1]
+    return folder / _run([sys.executable, "-c", code, str(folder.resolve())], cwd=ROOT).splitlines()[-1]
 
 
 def make_wheel(sdist: Path, *, machine: str, folder: Path) -> Path:
@@ -49,7 +49,7 @@ def make_wheel(sdist: Path, *, machine: str, folder: Path) -> Path:
             raise ReleaseError(f"no {compiler} to compile our kernels for {machine}: {next_step}")
         variables["CC"] = compiler
     code = "import sys; from hatchling.build import build_wheel; print(build_wheel(sys.argv[1]))"
-    made = folder / _run([sys.executable, "-c", code, str(folder)], cwd=source, **variables).splitlines()[-1]
+    made = folder / _run([sys.executable, "-c", code, str(folder.resolve())], cwd=source, **variables).splitlines()[-1]
     shutil.rmtree(tree)
     return made
 
@@ -114,7 +114,9 @@ def _pip(*arguments: str, **variables: str) -> None:
 
 
 def _run(command: list[str], *, cwd: Path, **variables: str) -> str:
-    done = subprocess.run(command, cwd=cwd, env=os.environ | variables, capture_output=True, text=True, check=False)
+    # Modes of files and the times of those that are generated get into wheels: neither may depend on who builds, and when.
+    moment = {"SOURCE_DATE_EPOCH": str(source_moment())}
+    done = subprocess.run(command, cwd=cwd, env=os.environ | moment | variables, umask=0o022, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise ReleaseError(f"{' '.join(command[:4])} … failed:\n{done.stderr.strip()}")
     return done.stdout

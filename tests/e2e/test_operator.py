@@ -8,7 +8,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from studies.chromium import CHROMIUM, launched
 from studies.system import RunningSystem, SystemSettings
-from tests.mapper.browser_side import opened, picture
+from tests.mapper.browser_side import opened, picture, until
 
 pytestmark = [
     pytest.mark.e2e,
@@ -81,6 +81,10 @@ def test_an_operator_signs_in_stops_one_insect_pauses_the_mission_stops_all_and_
         page.get_by_role("tab", name="Biobots").click()
         expect(page.locator("#rows tr", has_text="walking")).to_have_count(0, timeout=PATIENCE_MS)
         picture(page, "operator-stopped-all")
+        until(lambda: system.get("/api/v1/map/status")["n_waiting"] == 0)
+        chosen = {str(one) for one in system.get("/api/v1/mission")["gateways"][0]["landmarks"]}
+        landmarks = {str(one) for one in system.get("/api/v1/coverage")["landmarks"]}
+        assert chosen <= landmarks <= chosen | {key}, "who stands because all were stopped is no landmark"
 
         # Its terminal's number is given to the next who asks for one, in another test; the name must not lead there.
         (tmp_path / "radio").unlink()

@@ -34,9 +34,9 @@ class Certified:
         return self.directory / "roster.txt"
 
     @contextmanager
-    def router(self, port: int) -> Iterator[zenoh.Session]:
+    def router(self, port: int, *, host: str = "127.0.0.1") -> Iterator[zenoh.Session]:
         """Open a router in this process that heeds the roster as it is now."""
         tls = self.tls("*/router/main")
         members, _ = parse_roster(self.roster.read_text())
-        with open_service(listen=[f"tls/127.0.0.1:{port}"], connect=[], tls=tls, access=access_control(members)) as session:
+        with open_service(listen=[f"tls/{host}:{port}"], connect=[], tls=tls, access=access_control(members)) as session:
             yield session

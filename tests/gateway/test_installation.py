@@ -1,20 +1,26 @@
 """Services that are installed below a folder: what an installation, an upgrade and a removal leave of what was there."""
 
+import os
 import shutil
+import subprocess
+import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.__main__ import main
-from gateway.installation.layout import SERVICES, default_configuration
+from gateway.installation.changes import AppliedChanges
+from gateway.installation.layout import SERVICES, Wishes, choose_services, default_configuration
+from gateway.installation.plan import plan_installation, plan_removal
 from gateway.installation.record import read_record
 from mapper.__main__ import main as mapper_main
 
+SOURCE = Path(__file__).parents[2]
 ALL = "gateway,mapper,router"
 UNITS = Path("etc/systemd/system")
 
@@ -186,6 +192,111 @@ def test_data_stay_unless_they_are_to_go_and_then_somebody_must_agree(root: Path
 def test_a_service_that_there_is_not_is_named(root: Path, capsys: pytest.CaptureFixture[str], flags: list[str], reason: str) -> None:
     assert install(root, *flags) == 1
     assert reason in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("services", ["gateway", ALL])
+def test_an_installation_that_was_killed_anywhere_is_completed_by_the_next_and_removed_without_a_trace(root: Path, services: str) -> None:
+    (root / "var/lib").mkdir(parents=True)
+    before, pristine = tree_of(root), root.with_name("pristine")
+    shutil.copytree(root, pristine, symlinks=True)
+    wishes = Wishes(services=choose_services(services), programs=PurePosixPath("/opt/biobot/1"), site="tent")
+    changes = plan_installation(root, wishes, record=None, version="1").changes
+    install(root, "--services", services, "--site", "tent")
+    whole = tree_of(root)
+    for n_made in range(len(changes)):
+        shutil.rmtree(root)
+        shutil.copytree(pristine, root, symlinks=True)
+        AppliedChanges(changes[:n_made], root=root)
+        assert install(root, "--services", services, "--site", "tent") == 0
+        # The record may know of a folder less: the one that it is in, which goes in any case.
+        differ = {path for path, _ in tree_of(root).items() ^ whole.items()}
+        assert differ <= {"var/lib/biobot/installed.json"}, f"killed after {n_made} of {len(changes)} changes"
+        assert uninstall(root, "--purge", "--yes") == 0
+        assert tree_of(root) == before, f"killed after {n_made} of {len(changes)} changes"
+
+
+def test_a_removal_that_was_killed_anywhere_is_completed_by_the_next(root: Path) -> None:
+    (root / "var/lib").mkdir(parents=True)
+    before, installed = tree_of(root), root.with_name("installed")
+    install(root, "--services", ALL)
+    shutil.copytree(root, installed, symlinks=True)
+    changes = plan_removal(root, record=read_record(root), purges=False).changes
+    for n_made in range(len(changes)):
+        shutil.rmtree(root)
+        shutil.copytree(installed, root, symlinks=True)
+        AppliedChanges(changes[:n_made], root=root)
+        assert uninstall(root) == 0
+        assert tree_of(root) == before, f"killed after {n_made} of {len(changes)} changes"
+
+
+def test_folders_that_were_made_for_the_programs_go_with_them(root: Path) -> None:
+    """An image may have no /opt; the installer, which makes the virtual environment, says which folders above it are its own."""
+    (root / "opt").rmdir()
+    before = tree_of(root)
+    (make_programs(root, "1") / "folders-made").write_text("/opt\n/opt/biobot\n")
+    install(root, programs="/opt/biobot/1")
+    (make_programs(root, "2") / "folders-made").write_text("")
+    install(root, programs="/opt/biobot/2")
+    assert uninstall(root) == 0
+    assert tree_of(root) == before
+
+
+def test_make_uninstall_takes_all_out_of_an_image_and_what_an_interrupted_installation_left_there(tmp_path: Path) -> None:
+    """scripts/services.sh: one version is recorded, one never came up, one was killed half way, which is all that the last one is."""
+    root = tmp_path / "image"
+    root.mkdir()
+    for version in ("1", "2", "3"):
+        programs = make_programs(root, version)
+        (programs / "bin" / "python").write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+        (programs / "bin" / "python").chmod(0o755)
+        (programs / "bin" / "biobot-gateway").chmod(0o755)
+        (programs / "folders-made").write_text("/opt\n/opt/biobot\n" if version == "1" else "")
+    (root / "opt/biobot/3/bin/biobot-gateway").unlink()
+    (root / "opt/biobot/.3.unfinished").write_text("999999999\n/opt/biobot\n")
+    install(root, programs="/opt/biobot/1")
+    environment = os.environ | {"DESTDIR": str(root), "PYTHONPATH": str(SOURCE)}
+    done = subprocess.run(
+        ["sh", str(SOURCE / "scripts" / "services.sh"), "uninstall"], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert tree_of(root) == {}
+
+
+def test_what_is_installed_can_be_read_by_the_services_whatever_the_umask(root: Path) -> None:
+    before = os.umask(0o077)
+    try:
+        install(root)
+    finally:
+        os.umask(before)
+    record = read_record(root)
+    assert record is not None
+    for path in ("etc/biobot", "etc/biobot/gateway.toml", *(name.removeprefix("/") for name in record.folders)):
+        assert (root / path).stat().st_mode & 0o005 == (0o005 if (root / path).is_dir() else 0o004), path
+
+
+@pytest.mark.parametrize("flags", [[], ["--dry-run"]])
+def test_below_a_root_this_programs_own_folder_is_never_taken_for_the_installed_systems(
+    root: Path, flags: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = tree_of(root)
+    assert main(["install-service", "--root", str(root), *flags]) == 1
+    said = capsys.readouterr()
+    assert f"{sys.prefix}: is not below {root}; name the folder of programs" in said.err
+    assert "--programs /opt/biobot/" in said.err
+    assert (said.out, tree_of(root)) == ("", before)
+
+
+@pytest.mark.parametrize("flags", [[], ["--dry-run"]])
+def test_programs_that_are_not_there_are_named_with_what_is_to_be_done(
+    root: Path, flags: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert install(root, *flags) == 0
+    said = capsys.readouterr().err
+    for program in ("biobot-gateway", "biobot-mapper"):
+        assert f"warning: /opt/biobot/1/bin/{program} is not there below {root}, and units are to start it: install the wheel" in said
+    make_programs(root, "1")
+    install(root, *flags)
+    assert capsys.readouterr().err == ""
 
 
 def test_a_damaged_record_says_what_to_do(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -168,7 +168,8 @@ def test_a_refusal_has_its_reason(fault: str, tmp_path: Path) -> None:
     mine, theirs = certified.tls("demo/gateway/base1"), other.tls("demo/gateway/base1")
     outdated = Certified(tmp_path / "old", now=datetime.now(UTC) - timedelta(days=100)).tls("demo/gateway/base1", days=10)
     port = free_port()
-    endpoint = f"tls/{'localhost' if fault == 'other host' else '127.0.0.1'}:{port}"
+    host = "127.0.0.2" if fault == "other host" else "127.0.0.1"
+    endpoint = f"tls/{host}:{port}"
     tls, words = {
         "out of date": (msgspec.structs.replace(outdated, ca=mine.ca), "out of date"),
         "other authority": (msgspec.structs.replace(theirs, ca=mine.ca), "authority"),
@@ -178,7 +179,7 @@ def test_a_refusal_has_its_reason(fault: str, tmp_path: Path) -> None:
     }[fault]
     with ExitStack() as stack:
         if fault != "nobody":
-            stack.enter_context(certified.router(port))
+            stack.enter_context(certified.router(port, host=host))
         assert words in diagnose(endpoint, tls)
 
 

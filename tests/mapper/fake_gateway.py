@@ -82,6 +82,7 @@ def mode(
     revision: int = 0,
     gateway: str = "gateway1",
     journal: str = "journal1",
+    is_halted: bool = False,
 ) -> ModeRecord:
     return ModeRecord(
         gateway=gateway,
@@ -97,6 +98,7 @@ def mode(
         t_start_ns=Nanoseconds(t_ns[0]),
         t_end_ns=None if t_ns[1] is None else Nanoseconds(t_ns[1]),
         error_ns=Nanoseconds(1000),
+        is_halted=is_halted,
     )
 
 

@@ -16,7 +16,7 @@ STOP_S = 60.0
 
 @contextmanager
 def serving(directory: Path, *, connect: int, arguments: Sequence[str] = ()) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
-    """Yield the page's URL and the process; end it as an operator would, and find that it ends well.
+    """Yield the page's URL, with a slash to join paths to, and the process; end it as an operator would, and find that it ends well.
 
     Operator anna has a token there, which `token_of` returns.
     """
@@ -35,7 +35,7 @@ def serving(directory: Path, *, connect: int, arguments: Sequence[str] = ()) -> 
             assert process.poll() is None, (directory / "mapper.log").read_text()
             assert time.monotonic() < deadline, "the mapper did not come up"
             time.sleep(0.02)
-        yield url_file.read_text().strip(), process
+        yield f"{url_file.read_text().strip()}/", process
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
             assert process.wait(STOP_S) == 0, (directory / "mapper.log").read_text()

@@ -1,5 +1,6 @@
 """What stands around the map: who is signed in, the table of biobots, missions, the stop; for every size, theme and way to use it."""
 
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -378,6 +379,34 @@ def test_alerts_of_a_kind_are_one_entry_acknowledged_with_a_name_and_lead_to_the
     expect(page.locator("#rows tr:visible")).to_have_count(1)
 
 
+# Alerts of a kind, some on and some over; what the two lists say, at first and when the last one on has ended.
+MANY_ALERTS = """async ({ nOn, nOver }) => {
+  const { Alerts } = await import("/static/alerts.js");
+  const panel = document.createElement("div");
+  const account = { guard() {}, forget() {} };
+  const live = { serverNow: () => 100 };
+  const alerts = new Alerts({ panel, badge: document.createElement("span"), account, live, onBiobot() {}, onLow() {} });
+  const make = (id, isOn) => ({
+    id, kind: "biobot_lost", severity: "warning", subject: `biobot ${id}`, text: `biobot ${id} is lost`, is_on: isOn,
+    since_wall_ns: 1e9 * id, ended_wall_ns: isOn ? null : 1e9 * id + 1, acknowledged_by: null, acknowledged_wall_ns: null });
+  const told = (list) => [...list.children].map((one) => one.querySelector("strong").textContent);
+  const said = [];
+  for (const left of [nOn, 0]) {
+    alerts.show(Array.from({ length: nOn + nOver }, (_, at) => make(at + 1, at < left)));
+    said.push([told(alerts.now), told(alerts.over), alerts.over.querySelectorAll("li li").length]);
+  }
+  return said;
+}"""
+
+
+def test_alerts_of_a_kind_that_are_over_are_one_entry_too(operator: Watched) -> None:
+    first, last = operator.page.evaluate(MANY_ALERTS, {"nOn": 4, "nOver": 5})
+    assert first == [["4 biobots lost"], ["5 biobots lost"], 5]
+    assert last == [[], ["9 biobots lost"], 9]
+    few = operator.page.evaluate(MANY_ALERTS, {"nOn": 1, "nOver": 2})
+    assert few == [[["biobot 1"], ["biobot 3", "biobot 2"], 0], [[], ["biobot 3", "biobot 2", "biobot 1"], 0]]
+
+
 def test_all_of_it_is_reached_by_keys_alone(site: Site, operator: Watched) -> None:
     page = operator.page
     page.keyboard.press("Tab")
@@ -455,6 +484,20 @@ def test_colours_follow_the_system_until_others_are_chosen_and_stay_chosen(site:
         expect(button).to_have_accessible_name("Colours: dark")
 
 
+# What a screen reader says: every text that a live region gets, in order, but for the same one again.
+LISTEN = """() => {
+  window.heard = [];
+  for (const region of document.querySelectorAll("[aria-live], [role=status], [role=alert]")) {
+    let last = region.textContent;
+    new MutationObserver(() => {
+      const text = region.textContent.trim();
+      if (text && text !== last) window.heard.push([region.id, text]);
+      last = text;
+    }).observe(region, { childList: true, characterData: true, subtree: true });
+  }
+}"""
+
+
 def test_a_page_shows_nothing_without_a_token_where_nobody_may_and_says_since_when_the_mapper_is_away(
     site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -470,6 +513,7 @@ def test_a_page_shows_nothing_without_a_token_where_nobody_may_and_says_since_wh
             page.get_by_label("Token", exact=True).fill(token_of(tmp_path))
             page.keyboard.press("Enter")
             expect(page.locator("#link")).to_have_text("no gateway yet")
+            page.evaluate(LISTEN)
         expect(page.locator("#link")).to_have_text("mapper does not answer")
         expect(page.locator("#banner")).to_contain_text("No answer from the mapper for")
         expect(page.locator("#banner")).to_contain_text("What you see is from")
@@ -480,6 +524,10 @@ def test_a_page_shows_nothing_without_a_token_where_nobody_may_and_says_since_wh
             expect(page.locator("#link")).to_have_text("no gateway yet")
             expect(page.locator("#banner")).to_be_hidden()
             expect(page.locator("#account-open")).to_have_text("anna · operator")
+            expect(page.locator("#said")).to_have_text("The mapper answers again.")
+            spoken = [(region, text) for region, text in page.evaluate("heard") if re.search("mapper (does not )?answer|gateway yet", text)]
+            told = [("said-urgently", "The mapper does not answer; what is shown may be old."), ("said", "The mapper answers again.")]
+            assert [one for one in spoken if one[0] != "stop-panel"] == told, "each is said once"
 
 
 @pytest.fixture(scope="module")

@@ -205,13 +205,20 @@ def test_modes_that_a_journal_was_exported_to_are_read_to_the_nanosecond(tmp_pat
     assert set(JOURNAL_MODE_COLUMNS) <= set(columns)
     path = tmp_path / "out.modes.csv"
     rows = [
-        "g1,ac6a5ef9,178,1,6,1,7,CRW,natural,1795726958046574232,1795726982605343597,17574787",
-        "g1,ac6a5ef9,248,1,119,1,7,S,command,1795726982605343597,,18033752",
+        "g1,ac6a5ef9,178,1,6,1,7,CRW,natural,1795726958046574232,1795726982605343597,17574787,false",
+        "g1,ac6a5ef9,248,1,119,1,7,S,command,1795726982605343597,,18033752,false",
     ]
     path.write_text("\n".join([",".join(columns), *rows]) + "\n")
     first, second = read_modes(path)
     assert (first.node, first.t_start_ns, first.t_end_ns, first.mode) == (7, 1795726958046574232, 1795726982605343597, Mode.CRW)
     assert (second.t_start_ns, second.t_end_ns, second.mode, second.cause) == (1795726982605343597, None, Mode.S, Cause.COMMAND)
+    path.write_text("\n".join([",".join(columns), rows[1].replace("false", "true")]) + "\n")
+    assert [spell.cause for spell in read_modes(path)] == [Cause.NATURAL], "who stands because all were stopped is no landmark"
+    path.write_text("\n".join([",".join(columns[:-1]), rows[1].removesuffix(",false")]) + "\n")
+    assert [spell.cause for spell in read_modes(path)] == [Cause.COMMAND], "older gateways do not say it"
+    path.write_text("\n".join([",".join(columns), rows[1].replace("false", "no")]) + "\n")
+    with pytest.raises(InputFileError, match=r"is_halted is 'no'; wanted true or false"):
+        read_modes(path)
     path.write_text("\n".join([",".join(columns), rows[0].replace("1795726982605343597", "12.5")]) + "\n")
     with pytest.raises(InputFileError, match=r"line 2: end_wall_ns is '12\.5'; wanted nanoseconds since 1970"):
         read_modes(path)

@@ -1,5 +1,6 @@
 """Laws of what is known of biobots: who is a landmark, and whose gateways have spoken of it."""
 
+import msgspec
 import pytest
 
 from firmware_protocol.contract.commands import CommandStage, Stage, StimulationAction
@@ -91,6 +92,14 @@ def test_who_is_told_to_stop_by_itself_soon_after_a_stop_of_all_stands_of_its_ow
     )
     (view,) = fleet.biobots(now_ns=0)
     assert (view.is_halted, view.is_landmark) == (is_halted, not is_halted)
+
+
+def test_who_is_halted_by_its_record_is_no_landmark_though_nobody_told_of_the_stop() -> None:
+    """After a restart of the mapper the records alone are there."""
+    fleet = Fleet()
+    fleet.take_modes([msgspec.structs.replace(a_mode(start_s=STOPPED_S), is_halted=True)])
+    (view,) = fleet.biobots(now_ns=0)
+    assert (view.is_halted, view.is_landmark) == (True, False)
 
 
 def test_a_stop_of_all_at_one_gateway_halts_nobody_at_another() -> None:

@@ -102,6 +102,8 @@ async def tell_a_story(client_story: Any) -> None:
             side.fleet.events.append(event)
             await until(lambda: bool(side.history.page()[0]) and bool(side.accounts.all()))
             await side.alerts.look()
+            await client.put("/api/v1/pins/door", json={"place": "landmark:1001", "x": 12.5, "y": 0})
+            await client.put("/api/v1/pins/lost%20%3Cb%3E", json={"place": "biobot:77"})
             await client.post("/api/v1/commands", json={"biobot": "7", "action": "stop", "id": "one"})
             await client_story(side, client)
 
@@ -137,6 +139,8 @@ def test_the_report_says_what_the_map_says_how_sure_it_is_and_who_did_what(repor
         "biobot confirmed",
         "has records on its disk that cannot be read",
         "SHA-256",
+        "landmark:1001 12.5, 0",
+        "lost <b> biobot:77",
         "gateway1",
     ):
         assert words in reader.text, words
