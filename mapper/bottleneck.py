@@ -2,8 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import maximum_bipartite_matching
 
 Floats = NDArray[np.float64]
 
@@ -44,4 +42,7 @@ def _serves(may_pair: NDArray[np.bool_]) -> bool:
     """Tell whether every row can have a column of its own."""
     if not may_pair.size:
         return len(may_pair) == 0
+    from scipy.sparse import csr_array  # noqa: PLC0415  # a third of a second that no service has to wait for when it starts
+    from scipy.sparse.csgraph import maximum_bipartite_matching  # noqa: PLC0415  # same
+
     return bool((maximum_bipartite_matching(csr_array(may_pair), perm_type="column") >= 0).all())

@@ -36,9 +36,9 @@ _TITLE = (
 
 def run_command_line(given: Sequence[str]) -> int:
     """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
-    parser = _make_parser(given)
-    args = parser.parse_args(join_negative_numbers(given))
     try:
+        parser = _make_parser(given)
+        args = parser.parse_args(join_negative_numbers(given))
         status = _dispatch(args, parser)
         sys.stdout.flush()
     except ConfigurationError as error:

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from firmware_protocol.contract.records import Cause, Mode
+from mapper.groups import label_groups
 from mapper.types import BoolArray, EncounterTable, FloatArray, IntArray, ModeSpell
 
 # Own choices, between what random walkers show and what others do: docs/your-own-data.md.
@@ -180,8 +179,8 @@ def _interval(table: EncounterTable, first: IntArray, second: IntArray, walks: B
 
 
 def _periods(table: EncounterTable, first: IntArray, second: IntArray, *, n_nodes: int) -> int:
-    ones = np.ones(len(first), dtype=np.int8)
-    n_parts, part = connected_components(csr_array((ones, (first, second)), shape=(n_nodes, n_nodes)), directed=False)
+    part = label_groups(first, second, n=n_nodes)
+    n_parts = int(part.max(initial=-1)) + 1
     if n_parts == 1:
         return 1
     of_row = part[first]

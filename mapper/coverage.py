@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from firmware_protocol.contract.records import Cause, Mode
 from mapper.confidence import SURE_ENOUGH, WANTED_ENCOUNTERS, WANTED_LANDMARKS, WANTED_WALKERS
+from mapper.groups import label_groups
 from mapper.record_columns import to_unsigned
 from mapper.report import JsonObject, JsonValue
 from mapper.types import EncounterTable, IntArray, MapResult, ModeSpell
@@ -105,8 +104,7 @@ def _last_minutes(table: EncounterTable) -> tuple[int, float]:
 def _giant(first: IntArray, second: IntArray, *, n_biobots: int) -> JsonObject:
     if not n_biobots:
         return {"giant_share": None, "giant_biobots": 0}
-    joined = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(n_biobots, n_biobots))
-    _, group = connected_components(joined, directed=False)
+    group = label_groups(first, second, n=n_biobots)
     encounters = np.bincount(group[first])
     largest = int(encounters.argmax())
     return {"giant_share": float(encounters[largest] / len(first)), "giant_biobots": int(np.count_nonzero(group == largest))}

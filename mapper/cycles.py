@@ -2,10 +2,10 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from mapper.types import BoolArray, FloatArray, IntArray
+
+_Indices = NDArray[np.int32]
 
 
 def shortest_odd_cycle(ends: IntArray, lengths: FloatArray, is_odd: BoolArray, *, n_points: int) -> IntArray:
@@ -39,8 +39,11 @@ def shortest_odd_cycle(ends: IntArray, lengths: FloatArray, is_odd: BoolArray, *
     at. Marking the other edges of a point in place of those that are marked changes no closed path; it is done while it saves marks.
     Of paths of equal length that from the lowest beginning counts.
     """
+    from scipy.sparse import csr_array  # noqa: PLC0415  # a third of a second that no service has to wait for when it starts
+    from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415  # same
+
     is_odd = _save_marks(ends, is_odd, n_points=n_points)
-    doubled = _double(ends, lengths, is_odd, n_points=n_points)
+    doubled: csr_array = csr_array(_double(ends, lengths, is_odd, n_points=n_points), shape=(2 * n_points, 2 * n_points))
     best, shortest = None, np.inf
     for point in _cover(ends[is_odd], n_points=n_points):
         length, before = dijkstra(doubled, indices=np.array([point]), return_predecessors=True, limit=shortest)
@@ -54,15 +57,15 @@ def shortest_odd_cycle(ends: IntArray, lengths: FloatArray, is_odd: BoolArray, *
     return best if best[1] < best[-1] else np.roll(best[::-1], 1)
 
 
-def _double(ends: IntArray, lengths: FloatArray, is_odd: BoolArray, *, n_points: int) -> csr_array:
-    """Make the graph of two copies of every point; sorting the edges here saves what scipy does for edges in any order."""
+def _double(ends: IntArray, lengths: FloatArray, is_odd: BoolArray, *, n_points: int) -> tuple[FloatArray, _Indices, _Indices]:
+    """Make the sparse matrix of two copies of every point, by rows; sorted here, it saves what scipy does for edges in any order."""
     a, b = ends.astype(np.int32).T
     across = np.where(is_odd, np.int32(n_points), np.int32(0))
     begin, end = np.concatenate([a, a + n_points]), np.concatenate([b + across, b + n_points - across])
     begin, end = np.concatenate([begin, end]), np.concatenate([end, begin])
     order = np.argsort(begin, kind="stable")
     first = np.concatenate([[0], np.cumsum(np.bincount(begin, minlength=2 * n_points))])
-    return csr_array((np.tile(lengths, 4)[order], end[order], first.astype(np.int32)), shape=(2 * n_points, 2 * n_points))
+    return np.tile(lengths, 4)[order], end[order], first.astype(np.int32)
 
 
 def _save_marks(ends: IntArray, is_odd: BoolArray, *, n_points: int) -> BoolArray:

@@ -19,8 +19,6 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from mapper.dating import SAME_LIFE_NS, DatedRecord, agree
 from mapper.own_spans import N_NUMBERS
@@ -230,6 +228,9 @@ class JointEncounters:
 
     def _index(self, rows: IntArray, names: Mapping[int, str]) -> None:
         """Put rows, at least one, into the spans of their pairs, and join what is connected."""
+        from scipy.sparse import coo_array  # noqa: PLC0415  # a service starts without SciPy (ADR 54)
+        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415  # same
+
         begin, end, _, _, _, margin, gateway, _ = self._columns[:, rows]
         places = np.arange(len(rows))
         joined = [self._index_axis(_ON_SITES_CLOCK, rows, places, begins=begin - margin, ends=end + margin)]

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from mapper.groups import label_groups
 from mapper.record_columns import EncounterRows, to_unsigned
 from mapper.types import IntArray
 
@@ -43,8 +42,7 @@ class RecentContacts:
         n_encounters = np.bincount(places.ravel(), minlength=len(ids))
         pairs = np.unique(places, axis=1)
         partners = np.bincount(pairs.ravel(), minlength=len(ids))
-        graph = coo_array((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(ids), len(ids)))
-        labels = connected_components(graph, directed=False)[1] if len(ids) else np.zeros(0, dtype=np.int64)
+        labels = label_groups(pairs[0], pairs[1], n=len(ids))
         names = [to_unsigned(node) for node in ids.tolist()]
         groups: defaultdict[int, list[int]] = defaultdict(list)
         for name, label in zip(names, labels.tolist(), strict=True):

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from math import hypot, inf, sqrt
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from mapper.crossings import Signature, cross_rays, invert, join
 from mapper.errors import RouteError
@@ -147,6 +145,9 @@ class ClassSearch:
     """
 
     def __init__(self, graph: WayGraph, centres: FloatArray, *, longest_detour: float) -> None:
+        from scipy.sparse import csr_array  # noqa: PLC0415  # a third of a second that no service has to wait for when it starts
+        from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415  # same
+
         self._graph = graph
         self._neighbours = _neighbours(graph, centres)
         forth = np.concatenate([graph.edges, graph.edges[:, ::-1]])

@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
@@ -16,6 +14,7 @@ from mapper.confidence.counting import count_holes, describe_numbers, is_telling
 from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track, mean_change, reach_of
 from mapper.confidence.model import Models
 from mapper.confidence.sufficiency import Doubt, Facts, judge_data
+from mapper.groups import label_groups
 from mapper.outlines import outline_holes
 from mapper.types import (
     BoolArray,
@@ -276,9 +275,8 @@ def _rows_of_components(table: EncounterTable, placed: Sequence[PlacedComponent]
     """Say which encounters are in each component; None for all. Two encounters are in one if a chain of biobots joins them."""
     ids, compact = np.unique(np.concatenate([table.id1, table.id2]), return_inverse=True)
     first, second = compact.reshape(2, -1)
-    joined = csr_array((np.ones(len(table), dtype=bool), (first, second)), shape=(len(ids), len(ids)))
-    n_components, label = connected_components(joined, directed=False)
-    if n_components == 1:
+    label = label_groups(first, second, n=len(ids))
+    if not label.any():
         return [None] * len(placed)
     of_row = label[first]
     return [of_row == of_row[one.encounters[0]] for one in placed]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from mapper.bottleneck import bottleneck_distance
 from mapper.types import ComponentMap, FloatArray
@@ -249,6 +248,8 @@ def match_loops(loops: FloatArray, others: FloatArray) -> FloatArray:
     Pairs are chosen so that the sum of all moves is least: of two partners the larger change of birth or death, of a loop without one half
     its length. It is the matching of the 1-Wasserstein distance of diagrams, over the largest norm.
     """
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  # a quarter of a second that a map without replicas does without
+
     n, m = len(loops), len(others)
     moves = np.zeros((n + m, n + m))
     moves[:n, :m] = np.abs(loops[:, None] - others[None]).max(axis=2)

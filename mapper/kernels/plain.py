@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from mapper.groups import label_groups
 from mapper.kernels.arrays import Contraction, Links, Picks, Rows, Stands, Tension, VertexArray
 from mapper.kernels.plain_settling import settle
 from mapper.types import BoolArray, FloatArray, IntArray, KernelsKind, ProfileNorm
@@ -245,15 +246,8 @@ def _time_inside(still: Stands, biobot: int, at: IntArray) -> IntArray:
 
 def _merge(one: NDArray[np.integer], other: NDArray[np.integer], *, n: int) -> tuple[IntArray, IntArray]:
     """Merge what is joined: the set of each of n, numbered by their first members, and those members."""
-    from scipy.sparse import coo_array  # noqa: PLC0415  # half a second that the compiled kernels do without
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415  # same
-
-    same = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(n, n))
-    _, label = connected_components(same, directed=False)
-    _, first, set_of = np.unique(label, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[set_of], np.sort(first).astype(np.int64)
+    set_of = label_groups(one, other, n=n)
+    return set_of, np.unique(set_of, return_index=True)[1].astype(np.int64)
 
 
 def _links_before(biobot_of: IntArray, in_order: IntArray) -> VertexArray:

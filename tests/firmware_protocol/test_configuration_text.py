@@ -5,7 +5,7 @@ import tomllib
 from enum import Enum
 from typing import Annotated
 
-import jsonschema
+import jsonschema_rs
 import msgspec
 import pytest
 
@@ -42,10 +42,10 @@ def test_every_key_is_printed_once_and_those_that_are_not_given_as_comments(conf
 @pytest.mark.parametrize("config", OURS)
 def test_what_is_printed_is_valid_by_the_schema(config: type[msgspec.Struct]) -> None:
     schema = msgspec.json.schema(config)
-    jsonschema.Draft202012Validator.check_schema(schema)
-    jsonschema.validate(tomllib.loads(default_toml(config, title="t")), schema)
-    with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate({"no-such-key": 1}, schema)
+    jsonschema_rs.meta.validate(schema)
+    jsonschema_rs.validate(schema, tomllib.loads(default_toml(config, title="t")))
+    with pytest.raises(jsonschema_rs.ValidationError):
+        jsonschema_rs.validate(schema, {"no-such-key": 1})
 
 
 class Colour(Enum):

@@ -6,7 +6,7 @@ from contextlib import ExitStack, asynccontextmanager
 from typing import Any
 
 import httpx
-import jsonschema
+from jsonschema_rs import Draft202012Validator
 
 from firmware_protocol.units import NodeId
 from mapper.access import Role
@@ -44,7 +44,7 @@ def check_against(document: dict[str, Any], path: str, answer: httpx.Response, *
     assert media_type in content
     if "json" in media_type:
         schema = {**content[media_type]["schema"], "components": document["components"]}
-        jsonschema.Draft202012Validator(schema).validate(answer.json())
+        Draft202012Validator(schema).validate(answer.json())
 
 
 Story = Callable[[Side, list[FakeGateway], httpx.AsyncClient], Awaitable[None]]

@@ -7,6 +7,7 @@ import pytest
 from studies.bench_sim import CASES, main, time_in_turns
 
 
+@pytest.mark.campaign
 def test_a_quick_round_tells_every_case_and_the_memory(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--quick"]) == 0
     out = capsys.readouterr().out

@@ -98,6 +98,7 @@ def test_runs_are_of_all_settings_and_half_of_them_as_they_are() -> None:
     assert draw_mission(7, recipe) == missions[7]
 
 
+@pytest.mark.campaign
 def test_few_short_runs_train_models_that_tell_of_other_runs() -> None:
     recipe = make_recipe(RecipeConfig(n_points=40))
     missions = [

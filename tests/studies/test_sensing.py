@@ -10,6 +10,7 @@ from studies.sensing import BEGIN, END, PERIODS_S, SENSINGS, study, to_markdown
 from studies.tables import put_between_markers
 
 
+@pytest.mark.campaign
 def test_the_study_covers_every_period_and_radio_and_finds_most_encounters() -> None:
     rows = list(study(duration_s=60.0, radii_m=(0.5,)))
     assert [(row.sensing, row.period_s) for row in rows] == [(one.name, period_s) for one in SENSINGS for period_s in PERIODS_S]
