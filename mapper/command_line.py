@@ -33,6 +33,9 @@ _TITLE = (
     "over both. Keep what you change; `biobot-mapper serve --config FILE --check-config` tells all that is wrong with it."
 )
 
+_NO_ROOM = ("failed to map segment", "annot allocate memory")
+"""What the dynamic loader says where a library finds no memory."""
+
 
 def run_command_line(given: Sequence[str]) -> int:
     """Run the command line; the exit status is 0 done, 1 failed, 2 bad usage or configuration."""
@@ -46,6 +49,10 @@ def run_command_line(given: Sequence[str]) -> int:
     except MapError as error:
         return _complain(str(error).splitlines(), status=_EXIT_FAILED)
     except MemoryError:
+        return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)
+    except ImportError as error:  # a library that is imported when it is wanted, and for which there is no room
+        if not any(words in str(error) for words in _NO_ROOM):
+            raise
         return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)
     except BrokenPipeError:
         # Whoever read our output is gone; keep the interpreter from complaining about it at exit.
