@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from firmware_protocol.dialects.interface import HostEvent, NodeSeen
 from firmware_protocol.dialects.native import NativeHost
 from firmware_protocol.envelope import IdentifyRequest, RadioReceived, RadioSend, RadioStatus, encode_envelope
-from firmware_protocol.message_codec import MessageFault, encode_uplink
-from firmware_protocol.messages import MAX_RADIO_PAYLOAD, Acknowledge, Hello, HelloRequest, Uplink, UplinkHeader
+from firmware_protocol.message_codec import encode_uplink
+from firmware_protocol.messages import MAX_RADIO_PAYLOAD, Acknowledge, Hello, HelloRequest, MessageFault, Uplink, UplinkHeader
 from firmware_protocol.units import BootId, Milliseconds, NodeId, RssiDbm, ShortAddress
 from simulator import chance, draws
 from simulator.clock import DriftingClock, SettableClock
