@@ -29,7 +29,8 @@ _TOGETHER = 37
 _CASES = [(1, False), (2, True), (3, False), (4, True)]
 
 _DIGESTS = {1: "f7646de3fc1da010", 2: "3ad6393c68c65dac", 3: "ff12b250ac4ab787", 4: "75ed7e171951c7ea"}
-"""The first 16 digits of the SHA-256 of what the gateway made of each case; without what sides say on their own clocks they are those of commit f9e4b40."""
+"""The first 16 digits of the SHA-256 of what the gateway made of each case. Without what sides say on their own
+clocks they are those of commit f9e4b40."""
 
 
 async def _take(path: Path, messages: Sequence[RadioMessage]) -> tuple[list[bytes], dict[str, int]]:
