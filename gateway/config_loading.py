@@ -14,7 +14,7 @@ from firmware_protocol.configuration import Unfit, load_configuration
 from firmware_protocol.contract.access import Role
 from firmware_protocol.contract.commands import WaveformName
 from firmware_protocol.contract.keys import check_name
-from firmware_protocol.contract.sessions import endpoint_problem, tls_problems
+from firmware_protocol.contract.sessions import SECURE_PREFIXES, endpoint_problem, tls_problems
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
 from firmware_protocol.messages import OWN_CHANNEL
 from gateway.config import GatewayConfig, StimulationTable
@@ -119,8 +119,9 @@ def _endpoint_problems(config: GatewayConfig) -> Iterator[Unfit]:
 
 
 def _tls_problems(config: GatewayConfig, roles: Sequence[Role]) -> Iterator[Unfit]:
+    ends = ("listen", "connect") if any(one.startswith(SECURE_PREFIXES) for one in config.listen) else ("connect", "listen")
     for reason in tls_problems(config.tls, listen=config.listen, connect=config.connect):
-        yield Unfit(keys=("tls.ca", "tls.certificate", "tls.key", "listen", "connect"), reason=reason)
+        yield Unfit(keys=("tls.ca", "tls.certificate", "tls.key", *ends), reason=reason)
     name = config.name if Role.GATEWAY in roles else None
     for reason in check_tls_files(config.tls, roles=roles, site=config.site, name=name).problems:
         yield Unfit(keys=("tls.ca", "tls.certificate", "tls.key"), reason=reason)

@@ -141,3 +141,11 @@ def test_a_gateway_of_another_name_does_not_start_with_the_journal(tmp_path: Pat
     assert "is of gateway 'base1', but this gateway is called 'base2'" in capsys.readouterr().err
     assert main([*arguments, "--check-config"]) == 2
     assert 'set name = "base1"' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("end", ["listen", "connect"])
+def test_an_endpoint_without_tls_is_told_by_the_flag_that_gave_it(end: str) -> None:
+    flags: dict[str, object] = {"listen": [], "connect": [], end: ["tls/127.0.0.1:7447"]}
+    with pytest.raises(ConfigurationError) as caught:
+        load_gateway_config(environment={}, flags=flags, flag_names={"listen": "--listen", "connect": "--connect"}, needs_radio=False)
+    assert [problem.split(" ")[0] for problem in caught.value.problems] == [f"--{end}:"]
