@@ -14,7 +14,7 @@ from firmware_protocol.contract.announcements import GatewayEvent
 from firmware_protocol.contract.records import LandmarkChange, MissionPhase, MissionRecord, Mode
 from mapper.alert_book import AlertKind, Condition, Severity
 from mapper.fleet import BiobotView, GatewayView
-from mapper.presence import Presence, presence_of
+from mapper.presence import Presence, gateway_faults, presence_of
 from mapper.recent_contacts import Contacts
 
 IsOn = Callable[[AlertKind, str], bool]
@@ -130,7 +130,7 @@ def _gateways(situation: Situation, is_on: IsOn) -> Iterator[Condition]:
             continue
         yield from _radios(view)
         yield from _disk(view, is_on)
-        faults = [fault for fault in ([] if view.status is None else view.status.faults) if "MiB are free" not in fault]
+        faults = gateway_faults(view)
         if faults:
             text = f"Gateway {view.name} says: {_steady('; '.join(faults))}."
             yield Condition(kind=AlertKind.GATEWAY_FAULT, subject=subject, severity=Severity.CRITICAL, text=text)

@@ -17,7 +17,16 @@ class Presence(Enum):
     LOST = "lost"
     """Silent for too long, though its gateway and radio listen."""
     UNKNOWN = "unknown"
-    """It has not spoken yet, or nobody listens: its gateway is away, or the radio that heard it last is not up."""
+    """It has not spoken yet, or nobody tells: its gateway is away or kept from its work, or the radio that heard it last is not up."""
+
+
+_A_WARNING: Final = "MiB are free"
+"""Of what a gateway says is wrong: its disk fills up, and it still works."""
+
+
+def gateway_faults(gateway: GatewayView) -> tuple[str, ...]:
+    """Return what a gateway says that keeps it from its work, in its words."""
+    return tuple(fault for fault in (() if gateway.status is None else gateway.status.faults) if _A_WARNING not in fault)
 
 
 def presence_of(biobot: BiobotView, *, gateways: Mapping[str, GatewayView], lost_s: float) -> Presence:
@@ -25,6 +34,8 @@ def presence_of(biobot: BiobotView, *, gateways: Mapping[str, GatewayView], lost
     home = gateways.get(biobot.gateway)
     if home is None or not home.is_alive or home.status is None or biobot.silence_s is None:
         return Presence.UNKNOWN
+    if gateway_faults(home):
+        return Presence.UNKNOWN  # what it hears waits for its disk, and is told when it has been recorded
     if biobot.radio is not None and home.status.radios.get(biobot.radio, _UP) != _UP:
         return Presence.UNKNOWN
     return Presence.LOST if biobot.silence_s > lost_s else Presence.ONLINE

@@ -80,6 +80,9 @@ def test_a_biobot_is_lost_unless_its_gateway_or_radio_explains_the_silence() -> 
     assert "unplugged a while ago" in radio.text
     (radio,) = look(replace(QUIET, gateways=status(radios={"usb": "down", "tcp": "up"}))).values()
     assert radio.severity is Severity.WARNING
+    full = "the journal gateway.sqlite takes nothing: database or disk is full; nothing is acknowledged until it does"
+    assert set(look(replace(silent, gateways=status(faults=(full,))))) == {(AlertKind.GATEWAY_FAULT, "gateway base1")}
+    assert lost in look(replace(silent, gateways=status(faults=("only 40 MiB are free where the journal lies; make room",))))
     assert set(look(replace(silent, is_connected=False, gateways=[replace(GATEWAY, is_alive=False)]))) == {(AlertKind.BUS_AWAY, "bus")}
 
 
