@@ -262,6 +262,8 @@ class CommandDesk:
                     if await self.log.wait(lambda: command.is_answered or n_open == 0, of=[command], timeout_s=_ASK_AGAIN_S):
                         judge(command.unfinished)
                         await self.log.wait(lambda: command.is_done, of=[command], timeout_s=_ASK_AGAIN_S)
+                    if command.command_id not in self._insisting:
+                        break  # while this waited its biobot was told something else, which an old stop must not undo
                     asking += [
                         group.create_task(
                             follow(name, self._ask(_stop_for(request, name, nearest=command.nearest), gateway=name, timeout_s=timeout_s))

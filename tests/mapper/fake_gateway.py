@@ -153,7 +153,9 @@ class FakeGateway:
         self.records: list[JournalRecord] = []
         self.oldest_offset = 1
         self.watermarks: list[Watermark] = []
-        self.commands: list[StimulationRequest] = []
+        self.asked: list[StimulationRequest] = []
+        """Each question for a command; a stop is asked again and again where its answer takes long, as on a busy machine."""
+        self._n_past = 0
         self.history_requests: list[HistoryRequest] = []
         self.answer: Answer = lambda _request: (Stage.ACCEPTED, Stage.RADIO_CONFIRMED, Stage.BIOBOT_CONFIRMED)
         self.orders: list[MissionOrder] = []
@@ -211,6 +213,18 @@ class FakeGateway:
 
     def __exit__(self, *_details: object) -> None:
         self._session.close()  # type: ignore[no-untyped-call]  # the stub of eclipse-zenoh lacks its return type
+
+    @property
+    def commands(self) -> list[StimulationRequest]:
+        """The commands that came, in the order in which they first did; a gateway knows one that it has by its id."""
+        first: dict[str, StimulationRequest] = {}
+        for request in list(self.asked):
+            first.setdefault(request.command_id, request)
+        return list(first.values())[self._n_past :]
+
+    def forget_commands(self) -> None:
+        """Begin anew: what came until now is not among `commands` any more, even if it is asked once more."""
+        self._n_past += len(self.commands)
 
     def journal_records(self, records: Iterable[JournalRecord]) -> None:
         """Write records without publishing them."""
@@ -322,7 +336,7 @@ class FakeGateway:
     def _on_command(self, query: zenoh.Query) -> None:
         assert query.payload is not None
         request = decode_record(query.payload.to_bytes(), StimulationRequest)
-        self.commands.append(request)
+        self.asked.append(request)
         # Answers take their time: Zenoh's own thread must not wait for them.
         threading.Thread(target=self._reply, args=(query, request)).start()
 

@@ -110,7 +110,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 @pytest.fixture
 def operator(site: Site) -> Iterator[Watched]:
-    site.gateway.commands.clear()
+    site.gateway.forget_commands()
     site.gateway.orders.clear()
     with opened(site.browser, site.url, token=site.token(Role.OPERATOR), expected=REFUSED) as watched:
         site.known(watched.page)
@@ -122,7 +122,7 @@ def row(page: Page, node: int) -> Any:
 
 
 def test_who_is_not_signed_in_looks_and_signs_in_and_out(site: Site) -> None:
-    site.gateway.commands.clear()
+    site.gateway.forget_commands()
     with opened(site.browser, site.url, expected=REFUSED) as watched:
         page = site.known(watched.page)
         start = page.get_by_role("button", name="Start biobot 1", exact=True)
@@ -183,7 +183,7 @@ def test_a_token_that_is_revoked_meanwhile_is_asked_for_again(site: Site) -> Non
 
 
 def test_a_stop_without_the_role_is_sent_and_says_that_it_was_refused(site: Site) -> None:
-    site.gateway.commands.clear()
+    site.gateway.forget_commands()
     with opened(site.browser, site.url, token=site.token(Role.VIEWER), expected=REFUSED) as watched:
         page = site.known(watched.page)
         expect(page.locator("#account-open")).to_have_text("vera · viewer")
