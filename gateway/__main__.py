@@ -1,6 +1,7 @@
 """Command line of the gateway."""
 
 import argparse
+import errno
 import os
 import sys
 from collections.abc import Callable
@@ -68,6 +69,8 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "replay": ("print a recording as `sniff` did, or offer it on a line", lines.add_replay_arguments, lines.replay),
     "pcap": ("turn a recording or a live port into a capture for Wireshark", pcap.add_arguments, pcap.pcap),
 }
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What writing to a place without room fails with, where that place is standard output: files are written elsewhere, and named."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -87,6 +90,11 @@ def main(arguments: list[str] | None = None) -> int:
         # Whoever read our output is gone; keep the interpreter from complaining about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
+    except OSError as error:
+        if error.filename is not None or error.errno not in _FULL:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return complain(f"standard output: cannot write: {str(error.strerror).lower()}; send it to another place", status=FAILED)
     except KeyboardInterrupt:
         return complain("interrupted", status=FAILED)
     return exit_status

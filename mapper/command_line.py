@@ -6,6 +6,7 @@ a configuration file may say.
 """
 
 import argparse
+import errno
 import json
 import os
 import sys
@@ -36,6 +37,8 @@ _TITLE = (
 
 _NO_ROOM = ("failed to map segment", "annot allocate memory")
 """What the dynamic loader says where a library finds no memory."""
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What writing to a place without room fails with, where that place is standard output: files are written elsewhere, and named."""
 
 
 def run_command_line(given: Sequence[str]) -> int:
@@ -59,6 +62,11 @@ def run_command_line(given: Sequence[str]) -> int:
         # Whoever read our output is gone; keep the interpreter from complaining about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _EXIT_FAILED
+    except OSError as error:
+        if error.filename is not None or error.errno not in _FULL:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _complain([f"standard output: cannot write: {str(error.strerror).lower()}; send it to another place"], status=_EXIT_FAILED)
     return status
 
 

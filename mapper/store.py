@@ -6,6 +6,7 @@ power cut the newest commits may be gone (``synchronous=NORMAL``); they are then
 """
 
 import sqlite3
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -113,6 +114,7 @@ class Store:
     def __init__(self, path: Path | None) -> None:
         self._path = store_name(path)
         self._progress = StoreProgress(n_encounters=0, change=0)
+        self.arrived_ns = time.monotonic_ns()  # when an encounter was last new; at first, when it was opened
         self._db = open_store_file(path)
         try:
             self._name = None if path is None else random_name(self._db)
@@ -156,6 +158,8 @@ class Store:
         n_new = len({row for row, _, _ in fresh if row > self._rows.last})
         self._rows.settle(fresh, arrived)
         self._remember(fresh)
+        if self.n_encounters > self._progress.n_encounters:
+            self.arrived_ns = time.monotonic_ns()
         self._progress = StoreProgress(n_encounters=self.n_encounters, change=self._progress.change + len(fresh))
         return Applied(
             n_new=n_new,

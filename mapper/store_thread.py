@@ -50,6 +50,11 @@ class StoreThread:
         return self._store.progress
 
     @property
+    def arrived_ns(self) -> int:
+        """When an encounter last arrived that was new [monotonic]; none yet: when the store was opened; no waiting."""
+        return self._store.arrived_ns
+
+    @property
     def clocks(self) -> tuple[SourceClock, ...]:
         """How the gateways' clocks stood when the last map was begun; no waiting."""
         return self._store.clocks

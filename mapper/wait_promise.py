@@ -11,21 +11,18 @@ RATE_MINUTES: Final = 5
 """The rate to come is that of so many minutes before the newest encounter."""
 _INTERVALS: Final = 3.0
 """Where encounters are rare, so many of their mean intervals without one, if that is longer: by chance once in twenty (exp(-3))."""
-_NS_PER_MIN: Final = 60_000_000_000
 
 
-def why_nothing_arrives(
-    *, newest_ns: int | None, rate_per_min: float, now_ns: int, is_connected: bool, are_alive: Sequence[bool]
-) -> str | None:
+def why_nothing_arrives(*, silent_s: float, rate_per_min: float, is_connected: bool, are_there: Sequence[bool]) -> str | None:
     """Say why no encounters are to be expected now; None where they come, or nothing speaks against it.
 
     Parameters
     ----------
-    newest_ns
-        When the newest encounter was over [ns since 1970]; None: there is none, or what came since is not counted yet.
+    silent_s
+        Since the last encounter arrived, or since the mapper was started [s].
     rate_per_min
         Of encounters, before the newest.
-    is_connected, are_alive
+    is_connected, are_there
         Whether the mapper is joined to the bus, and of each gateway that was ever on it whether it is there.
 
     Notes
@@ -34,39 +31,37 @@ def why_nothing_arrives(
     """
     if not is_connected:
         return "nothing arrives: the mapper is not connected to any gateway or router"
-    if are_alive and not any(are_alive):
-        gateways = "its gateway" if len(are_alive) == 1 else f"each of its {len(are_alive)} gateways"
+    if are_there and not any(are_there):
+        gateways = "its gateway" if len(are_there) == 1 else f"each of its {len(are_there)} gateways"
         return f"nothing arrives: {gateways} is away"
     patience_min = max(float(RATE_MINUTES), _INTERVALS / rate_per_min if rate_per_min > 0.0 else 0.0)
-    if newest_ns is not None and now_ns - newest_ns > patience_min * _NS_PER_MIN:
+    if silent_s > patience_min * 60.0:
         return (
-            f"nothing arrives: no encounter of the last {patience_min:.0f} minutes is known; "
-            "see whether biobots walk, and whether the gateways hear them"
+            f"nothing arrives: the last {patience_min:.0f} minutes and more brought no encounter; see whether biobots walk, and the "
+            "gateways hear them"
         )
     return None
 
 
-def judge_promise(coverage: ServedBytes, *, now_ns: int, has_newer: bool, is_connected: bool, are_alive: Sequence[bool]) -> ServedBytes:
+def judge_promise(coverage: ServedBytes, *, silent_s: float, is_connected: bool, are_there: Sequence[bool]) -> ServedBytes:
     """Return a description of coverage as it holds now: without a wait where nothing arrives, and with the reason.
 
     Parameters
     ----------
     coverage
         What `mapper.coverage.describe_coverage` says, as JSON.
-    has_newer
-        Records came that it does not count yet.
+    silent_s, is_connected, are_there
+        As for `why_nothing_arrives`.
     """
     told: dict[str, Any] = msgspec.json.decode(coverage.plain)
     data = told["data"]
     if data is None or not data["expected_wait_s"]:  # none was promised, or it is over
         return coverage
-    newest_ns = max((one["last_encounter_wall_ns"] for one in told["biobots"]), default=None)
     reason = why_nothing_arrives(
-        newest_ns=None if has_newer else newest_ns,
+        silent_s=silent_s,
         rate_per_min=told["rate_per_min"],
-        now_ns=now_ns,
         is_connected=is_connected,
-        are_alive=are_alive,
+        are_there=are_there,
     )
     if reason is None:
         return coverage

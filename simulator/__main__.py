@@ -1,6 +1,7 @@
 """Command line of the simulator: ``run`` writes a run's files, ``serve`` and ``replay`` stand in for dongles, ``render`` draws."""
 
 import argparse
+import errno
 import os
 import signal
 import sys
@@ -19,6 +20,8 @@ from simulator.log import set_up_logging
 from simulator.radios import radio_flags
 
 _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What writing to a place without room fails with, where that place is standard output: files are written elsewhere, and named."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,6 +44,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read our output is gone; keep the interpreter from complaining about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _EXIT_FAILED
+    except OSError as error:
+        if error.filename is not None or error.errno not in _FULL:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _complain([f"standard output: cannot write: {str(error.strerror).lower()}; send it to another place"], status=_EXIT_FAILED)
     except KeyboardInterrupt:
         return _complain(["interrupted"], status=_EXIT_INTERRUPTED)
     return status

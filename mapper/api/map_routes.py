@@ -116,13 +116,11 @@ def _add_number_routes(router: APIRouter, services: Services) -> None:
         It is there before the first map, too. Where nothing arrives any more, no wait is told, but why.
         """
         current = services.current_map
-        now_ns = time.time_ns()
         coverage = judge_promise(
             current.require_coverage(),
-            now_ns=now_ns,
-            has_newer=current.status.n_waiting > 0,
+            silent_s=(time.monotonic_ns() - services.records.arrived_ns) / 1e9,
             is_connected=services.is_connected(),
-            are_alive=[gateway.is_alive for gateway in services.fleet.gateways(now_ns=now_ns)],
+            are_there=[services.fleet.is_on_bus(name) for name in services.fleet.gateways_heard()],
         )
         return await served(request.headers, coverage, media_type=JSON_TYPE, headers={})
 

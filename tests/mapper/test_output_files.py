@@ -147,3 +147,13 @@ def test_a_hard_link_to_an_input_and_a_database_are_not_written_over(tmp_path: P
         check_outputs([tmp_path / "again.csv"], [source])
     with pytest.raises(OutputFileError, match="is a database"):
         check_outputs([database], [source])
+
+
+@pytest.mark.parametrize("program", ["mapper", "simulator", "gateway"])
+def test_standard_output_without_room_is_told_in_a_line(program: str) -> None:
+    arguments = {"mapper": ["config", "schema"], "simulator": ["scenarios"], "gateway": ["config", "schema"]}[program]
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        done = subprocess.run([sys.executable, "-m", program, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.endswith("standard output: cannot write: no space left on device; send it to another place")
