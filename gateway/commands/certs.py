@@ -98,11 +98,7 @@ def _identity(options: argparse.Namespace, *, sites: Sequence[str]) -> Identity:
         return parse_identity(f"{options.site}/{name}")
     complain(f"no --site: it is for site {_SITE}, which services are of where their configuration names none")
     if sites and _SITE not in sites:
-        warn(
-            [
-                f"all others of this authority are of site {' or '.join(sites)}, and do not hear it; give --site {sites[0]} if it belongs there"
-            ]
-        )
+        warn([f"the others of this authority are of site {' or '.join(sites)}, and do not hear it: --site {sites[0]} if it belongs there"])
     return parse_identity(f"{_SITE}/{name}")
 
 

@@ -92,9 +92,9 @@ def test_a_certificate_that_would_be_of_no_use_is_refused_and_a_site_that_was_ta
     assert main(["certs", "issue", pki, "gateway", "base1", "--site", "demo"]) == 0
     assert capsys.readouterr().err == ""
     assert main(["certs", "issue", pki, "mapper", "map1"]) == 0
-    told = capsys.readouterr().err
-    assert "no --site: it is for site local" in told
-    assert "warning: all others of this authority are of site demo, and do not hear it; give --site demo if it belongs there" in told
+    warned = capsys.readouterr().err
+    assert "no --site: it is for site local" in warned
+    assert "warning: the others of this authority are of site demo, and do not hear it: --site demo is for those" in warned
     other = str(tmp_path / "other")
     assert main(["certs", "init", other]) == 0
     assert main(["certs", "issue", other, "gateway", "base1"]) == 0
