@@ -94,7 +94,7 @@ def test_a_certificate_that_would_be_of_no_use_is_refused_and_a_site_that_was_ta
     assert main(["certs", "issue", pki, "mapper", "map1"]) == 0
     warned = capsys.readouterr().err
     assert "no --site: it is for site local" in warned
-    assert "warning: the others of this authority are of site demo, and do not hear it: --site demo is for those" in warned
+    assert "warning: the others of this authority are of site demo, and do not hear it: --site demo if it belongs there" in warned
     other = str(tmp_path / "other")
     assert main(["certs", "init", other]) == 0
     assert main(["certs", "issue", other, "gateway", "base1"]) == 0
