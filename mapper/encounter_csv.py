@@ -145,7 +145,9 @@ def read_bytes(path: Path) -> bytes:
             data = b"" if is_too_long else file.read(-1 if is_regular else MAX_FILE_BYTES + 1)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise InputFileError(path=str(path), faults=[f"cannot be read: {reason}; give the path of a CSV file"]) from error
+        of_run = path / "encounters.csv"
+        wanted = str(of_run) if isinstance(error, IsADirectoryError) and of_run.is_file() else "the path of a CSV file"
+        raise InputFileError(path=str(path), faults=[f"cannot be read: {reason}; give {wanted}"]) from error
     except ValueError as error:
         raise InputFileError(path=repr(str(path)), faults=[f"cannot be read: {error}"]) from error
     if is_too_long or len(data) > MAX_FILE_BYTES:

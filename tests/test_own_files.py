@@ -74,6 +74,11 @@ def test_a_file_is_none_of_ours_where_nothing_says_so_and_a_configuration_is_tol
         assert "it is a map: `biobot-mapper merge`" in told
 
 
+def test_the_folder_of_a_run_leads_to_its_encounters(files: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert mapper(["run", str(files["encounters.csv"].parent)]) == 1
+    assert f"is a directory; give {files['encounters.csv']}" in capsys.readouterr().err
+
+
 def test_tables_that_our_programs_export_are_known(files: dict[str, Path], tmp_path: Path) -> None:
     journal = str(files["gateway.sqlite"])
     assert gateway(["journal", "export", journal, "--kind", "all", "--csv", str(tmp_path / "j.csv")]) == 0
