@@ -18,6 +18,9 @@ from gateway.journal_file import is_in_use
 from gateway.transports.can_spec import CanSpec
 from gateway.transports.spec import SerialSpec, parse_port_spec
 
+PLACEHOLDER = "ROUTER"
+"""Stands for a router's address in what `certs issue` prints where the authority has no router's certificate yet."""
+
 _NETWORK_INTERFACES = Path("/sys/class/net")
 
 
@@ -25,6 +28,7 @@ def gateway_obstacles(config: GatewayConfig) -> list[str]:
     """Return what a gateway of this configuration would meet, a sentence each; nothing is made, written or opened for it."""
     return [
         *listening_obstacles(config.listen),
+        *connecting_obstacles(config.connect),
         *_monitor_obstacles(config.monitor.listen),
         *_journal_obstacles(Path(config.journal)),
         *(found for port in config.ports for found in _port_obstacles(port)),
@@ -37,6 +41,13 @@ def listening_obstacles(endpoints: Sequence[str]) -> Iterator[str]:
         address = host_and_port(endpoint)
         if address is not None and (why := why_taken(*address)):
             yield f"listen: {endpoint}: {why}; {_what_listens(address[1])}, or name another port"
+
+
+def connecting_obstacles(endpoints: Sequence[str]) -> Iterator[str]:
+    """Yield which endpoints still have the word in them that stands for a router's address."""
+    for endpoint in endpoints:
+        if (address := host_and_port(endpoint)) is not None and address[0] == PLACEHOLDER:
+            yield f"connect: {endpoint}: {PLACEHOLDER} stands for the router's address; put its name or address there, as its --host has it"
 
 
 def why_taken(host: str, port: int) -> str:

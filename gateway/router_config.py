@@ -9,7 +9,7 @@ import msgspec
 from firmware_protocol.configuration import Unfit, load_configuration
 from firmware_protocol.contract.access import Role
 from firmware_protocol.contract.sessions import TlsTable, ZenohTable, endpoint_problem, tls_problems
-from firmware_protocol.errors import ConfigurationError
+from gateway.config_file import read_config_file
 from gateway.tls_files import check_tls_files, read_roster
 
 ENVIRONMENT_PREFIX = "BIOBOT_ROUTER"
@@ -50,15 +50,9 @@ def load_router_config(*, toml_path: Path | None, environment: Mapping[str, str]
     ConfigurationError
         With one line for each fault.
     """
-    text = None
-    if toml_path is not None:
-        try:
-            text = toml_path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigurationError([f"{toml_path}: cannot be read: {error}"]) from error
     return load_configuration(
         RouterConfig,
-        toml_text=text,
+        toml_text=read_config_file(toml_path),
         toml_name=str(toml_path),
         environment=environment,
         environment_prefix=ENVIRONMENT_PREFIX,

@@ -21,6 +21,9 @@ from mapper.page_tls import check_page_tls
 from mapper.store_file import expect_fit_file
 from mapper.tls_files import check_tls_files
 
+_PLACEHOLDER = "ROUTER"
+"""Stands for a router's address in what `biobot-gateway certs issue` prints where it does not know one."""
+
 
 def check_service(config: MapperConfig, *, tries_places: bool = False) -> Iterator[Unfit]:
     """Yield all that is wrong; ``tries_places``: the store that is there is read, and its directory written to for a moment."""
@@ -49,6 +52,9 @@ def service_obstacles(config: MapperConfig) -> Iterator[str]:
         address = host_and_port(endpoint)
         if address is not None and (why := _why_taken(*address)):
             yield f"serve.listen: {endpoint}: {why}; {_what_listens(address[1])}, or name another port"
+    for endpoint in serve.connect:
+        if (address := host_and_port(endpoint)) is not None and address[0] == _PLACEHOLDER:
+            yield f"serve.connect: {endpoint}: {_PLACEHOLDER} stands for the router's address; put its name or address there"
     if serve.store is not None and (process := _holder_of(Path(serve.store))):
         yield f"serve.store {serve.store}: process {process} has it open; end it if it is not this service itself, or name another file"
 

@@ -68,6 +68,10 @@ def test_a_file_is_none_of_ours_where_nothing_says_so_and_a_configuration_is_tol
 ) -> None:
     for head in (b"", b"{", b"a diary", b"SQLite format 3\0" + bytes(84), b"\x1f\x8b"):
         assert tell_own_file(head) is None
+    for command in ("run", "router"):
+        assert gateway([command, "--check-config", "--config", str(files["gateway.sqlite"])]) == 2
+        assert "gateway.sqlite: is a gateway's journal: " in (told := capsys.readouterr().err)
+        assert "give the path of a TOML file" in told
     for main, words in ((gateway, ["run", "--check-config"]), (mapper, ["serve", "--check-config"])):
         assert main([*words, "--config", str(files["map.json"])]) == 2
         assert "not valid TOML" in (told := capsys.readouterr().err)

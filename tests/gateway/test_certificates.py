@@ -103,6 +103,13 @@ def test_a_certificate_that_would_be_of_no_use_is_refused_and_a_site_that_was_ta
         "biobot-gateway: no --site: it is for site local, which services are of where their configuration names none"
     ]
     assert 'site = "local"' in told.out
+    # No router is known to that authority; the first one's host is, where there is one.
+    assert 'connect = ["tls/ROUTER:7447"]' in told.out
+    (tmp_path / "gateway.toml").write_text(told.out[told.out.index("# for") :])
+    assert main(["run", "--config", str(tmp_path / "gateway.toml"), "--port", "tcp:127.0.0.1:1", "--check-config"]) == 0
+    assert "connect: tls/ROUTER:7447: ROUTER stands for the router's address; put its name or address" in capsys.readouterr().err
+    assert main(["certs", "issue", pki, "operator", "alice", "--site", "demo"]) == 0
+    assert 'connect = ["tls/192.0.2.1:7447"]' in capsys.readouterr().out
 
 
 def test_each_fault_of_a_routers_configuration_names_its_file_or_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

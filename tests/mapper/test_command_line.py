@@ -453,5 +453,7 @@ def test_check_config_of_serve_says_what_would_be_in_the_way_now_and_passes(tmp_
     assert told[1].startswith(f"biobot-mapper: warning: serve.listen: {endpoint}: another program has it; end what listens there")
     assert told[2].startswith(f"biobot-mapper: warning: serve.store {store}: process {holder.pid} has it open; end it if")
     assert len(told) == 3
+    assert main(["serve", "--store", str(store), "--port", "0", "--connect", "tcp/ROUTER:7447", "--check-config"]) == 0
+    assert "serve.connect: tcp/ROUTER:7447: ROUTER stands for the router's address" in capsys.readouterr().err
     assert main(["serve", "--store", str(store), "--port", "0", "--check-config"]) == 0
     assert capsys.readouterr().err == "", "what is in nobody's way is not told"
