@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import msgspec
 
 from firmware_protocol.errors import ConfigurationError
+from firmware_protocol.own_files import HEAD_BYTES, tell_own_file
 
 ConfigT = TypeVar("ConfigT", bound=msgspec.Struct)
 
@@ -80,7 +81,9 @@ def load_configuration(
         try:
             _merge(merged, tomllib.loads(toml_text), origin=origin, source=toml_name)
         except tomllib.TOMLDecodeError as error:
-            problems.append(f"{toml_name}: not valid TOML: {error}")
+            own = tell_own_file(toml_text[:HEAD_BYTES].encode())
+            known = "" if own is None else f"; it is {own.what}: {own.use}"
+            problems.append(f"{toml_name}: not valid TOML: {error}{known}")
             check = None  # what the file was to say is not known
     for name, text in sorted((environment or {}).items()):
         if name.startswith(environment_prefix + _SEPARATOR):

@@ -29,6 +29,11 @@ _PLAIN_WORDS: Final = {
     "(`certs issue --host`), or not of the authority of their tls.ca",
     "received fatal alert": "somebody who connects refuses our certificate: it is of another authority than their tls.ca",
     "InvalidContentType": "somebody who connects speaks no TLS; their endpoint should begin with tls/",
+    **dict.fromkeys(
+        ("Unknown interest", "Unknown subscriber id", "Unknown queryable id", "Unknown token id", "Unknown id"),
+        "somebody takes back what this router never took from them, since it is denied to them: who is not on the roster "
+        "(router.stranger names them), or whose role does not let them; where all that are connected are on it, no harm is done",
+    ),
     "handshake eof": "somebody who connects hung up before TLS was agreed on: a port scan, one that speaks no TLS, or one that gave up",
 }
 """What Zenoh says of handshakes, measured with eclipse-zenoh 1.10; the first that fits counts. It does not tell whose they were."""

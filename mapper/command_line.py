@@ -87,7 +87,7 @@ def _check_configuration(args: argparse.Namespace) -> int:
     """Check file, environment and the flags of the command, all of them before any fault is told."""
     from mapper.feasibility_report import check_given  # noqa: PLC0415  # see _run
     from mapper.kernels import choose_kernels  # noqa: PLC0415  # see _run
-    from mapper.service_checks import check_service  # noqa: PLC0415  # see _run
+    from mapper.service_checks import check_service, service_obstacles  # noqa: PLC0415  # see _run
     from mapper.time_limits import make_limits  # noqa: PLC0415  # see _run
 
     flags = _recipe_flags(args)
@@ -96,7 +96,9 @@ def _check_configuration(args: argparse.Namespace) -> int:
 
     def check_sources() -> None:
         check = partial(check_service, tries_places=True)
-        load_mapper_config(args.config, environment=os.environ, flags=flags, check=check)
+        config = load_mapper_config(args.config, environment=os.environ, flags=flags, check=check)
+        for obstacle in service_obstacles(config) if args.command == "serve" else ():
+            print(f"biobot-mapper: warning: {obstacle}", file=sys.stderr)
 
     checks: list[Callable[[], object]] = [check_sources, choose_kernels]
     if args.command == "run":

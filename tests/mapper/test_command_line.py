@@ -4,6 +4,7 @@ import importlib.util
 import json
 import os
 import re
+import socket
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -433,3 +434,28 @@ def test_check_config_of_serve_tries_endpoints_and_the_store_and_leaves_nothing(
     store.write_text("a diary")
     assert main(["serve", "--store", str(store), "--check-config"]) == 2
     assert "is not a store of records" in capsys.readouterr().err
+
+
+def test_check_config_of_serve_says_what_would_be_in_the_way_now_and_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It may be the very service whose configuration is checked: warnings, not faults."""
+    store = tmp_path / "store"
+    holds = "import sys, pathlib, mapper.store_file as s; kept = s.open_store_file(pathlib.Path(sys.argv[1])); print(flush=True); input()"
+    command = [sys.executable, "-c", holds, str(store)]
+    with (
+        socket.create_server(("127.0.0.1", 0)) as page,
+        socket.create_server(("127.0.0.1", 0)) as bus,
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder,
+    ):
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        port, endpoint = page.getsockname()[1], f"tcp/127.0.0.1:{bus.getsockname()[1]}"
+        assert main(["serve", "--store", str(store), "--port", str(port), "--listen", endpoint, "--check-config"]) == 0
+        told = capsys.readouterr().err.splitlines()
+    assert told[0].startswith(f"biobot-mapper: warning: serve.port: 127.0.0.1:{port}: another program has it; end what listens there")
+    assert told[1].startswith(f"biobot-mapper: warning: serve.listen: {endpoint}: another program has it; end what listens there")
+    assert told[2].startswith(f"biobot-mapper: warning: serve.store {store}: process {holder.pid} has it open; end it if")
+    assert len(told) == 3
+    assert main(["serve", "--store", str(store), "--port", "0", "--connect", "tcp/ROUTER:7447", "--check-config"]) == 0
+    assert "serve.connect: tcp/ROUTER:7447: ROUTER stands for the router's address" in capsys.readouterr().err
+    assert main(["serve", "--store", str(store), "--port", "0", "--check-config"]) == 0
+    assert capsys.readouterr().err == "", "what is in nobody's way is not told"
