@@ -33,8 +33,8 @@ _TITLE = (
     "over both. Keep what you change; `biobot-mapper serve --config FILE --check-config` tells all that is wrong with it."
 )
 
-_NO_ROOM = ("failed to map segment", "annot allocate memory")
-"""What the dynamic loader says where a library finds no memory."""
+_NO_ROOM = ("failed to map segment", "annot allocate memory", "error return without exception set")
+"""What the dynamic loader says where a library finds no memory, and the interpreter where it has none left to say so."""
 
 
 def run_command_line(given: Sequence[str]) -> int:
@@ -50,7 +50,7 @@ def run_command_line(given: Sequence[str]) -> int:
         return _complain(str(error).splitlines(), status=_EXIT_FAILED)
     except MemoryError:
         return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)
-    except ImportError as error:  # a library that is imported when it is wanted, and for which there is no room
+    except (ImportError, SystemError) as error:  # something is imported when it is wanted, and there is no room for it
         if not any(words in str(error) for words in _NO_ROOM):
             raise
         return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)

@@ -157,9 +157,11 @@ def test_a_stop_that_nobody_answers_is_not_repeated_once_its_biobot_was_told_som
         for name, action in (("one", "stop"), ("two", "start")):
             body = {"biobot": 5, "action": action, "wait_s": 0, "id": name}
             assert (await client.post("/api/v1/commands", json=body)).status_code in {HTTPStatus.OK, HTTPStatus.ACCEPTED}
-        await until(lambda: side.desk.log.get("one").is_closed)
+        await until(lambda: side.desk.log.get("one").is_closed and side.desk.log.get("two").is_closed)
         asked = [request.command_id for request in gateways[0].asked]
         assert (asked[-1], asked.count("two")) == ("two", 1)
+        start = side.desk.log.get("two")
+        assert (str(start.outcome), start.reason) == ("unknown", "the gateway is on the bus, but told nothing of it")
 
     run_story(story)
 
