@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import msgspec
 
 from firmware_protocol.errors import ConfigurationError
+from firmware_protocol.nearest_word import did_you_mean
 from firmware_protocol.own_files import HEAD_BYTES, tell_own_file
 
 ConfigT = TypeVar("ConfigT", bound=msgspec.Struct)
@@ -152,7 +153,7 @@ def _convert_fields(
     fields = {field.encode_name: field for field in msgspec.structs.fields(config_type)}
     known = ", ".join(sorted(fields))
     problems += [
-        f"{origin.get(prefix + key, '?')}: unknown key {prefix + key!r}; known here: {known}"
+        f"{origin.get(prefix + key, '?')}: unknown key {prefix + key!r}; known here: {known}{did_you_mean(key, fields)}"
         for key in sorted(given.keys() - fields.keys())
     ]
     values: dict[str, Any] = {}

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from firmware_protocol.errors import ConfigurationError
+from firmware_protocol.nearest_word import CommandParser
 from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
 from mapper.errors import MapError, OutOfMemoryError, TooFewEncountersError
 from mapper.flag_values import join_negative_numbers, read_id_list, read_number_of_classes, read_seconds
@@ -263,7 +264,7 @@ def _write_outputs(
 
 def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
-    parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
+    parser = CommandParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
     commands = parser.add_subparsers(dest="command", metavar="{run,route,merge,serve,tokens,feasibility,warm-up,config}")
     about = "Make a map of a log of contacts."

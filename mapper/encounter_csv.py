@@ -230,7 +230,8 @@ def _decode(path: Path, data: bytes) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        reason = f"line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; is this a CSV file?"
+        remedy = "is this a CSV file? If so, save it as UTF-8: iconv -f LATIN1 -t UTF-8"
+        reason = f"line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; {remedy}"
         raise InputFileError(path=str(path), faults=[reason]) from error
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
