@@ -15,6 +15,7 @@ import msgspec
 
 from firmware_protocol.errors import ConfigurationError
 from firmware_protocol.nearest_word import did_you_mean
+from firmware_protocol.own_files import HEAD_BYTES, tell_own_file
 
 ConfigT = TypeVar("ConfigT", bound=msgspec.Struct)
 
@@ -81,7 +82,9 @@ def load_configuration(
         try:
             _merge(merged, tomllib.loads(toml_text), origin=origin, source=toml_name)
         except tomllib.TOMLDecodeError as error:
-            problems.append(f"{toml_name}: not valid TOML: {error}")
+            own = tell_own_file(toml_text[:HEAD_BYTES].encode())
+            known = "" if own is None else f"; it is {own.what}: {own.use}"
+            problems.append(f"{toml_name}: not valid TOML: {error}{known}")
             check = None  # what the file was to say is not known
     for name, text in sorted((environment or {}).items()):
         if name.startswith(environment_prefix + _SEPARATOR):

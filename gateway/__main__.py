@@ -70,7 +70,7 @@ _COMMANDS: dict[str, tuple[str, AddArguments, Command]] = {
     "pcap": ("turn a recording or a live port into a capture for Wireshark", pcap.add_arguments, pcap.pcap),
 }
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What writing to a place without room fails with, where that place is standard output: files are written elsewhere, and named."""
+"""What writing to a place without room fails with, most likely standard output: of files, the path is told where they are written."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -94,7 +94,7 @@ def main(arguments: list[str] | None = None) -> int:
         if error.filename is not None or error.errno not in _FULL:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return complain(f"standard output: cannot write: {str(error.strerror).lower()}; send it to another place", status=FAILED)
+        return complain(f"cannot write: {str(error.strerror).lower()}; make room, or send the output to another place", status=FAILED)
     except KeyboardInterrupt:
         return complain("interrupted", status=FAILED)
     return exit_status

@@ -8,6 +8,7 @@ import msgspec
 
 from firmware_protocol.contract.announcements import NeighbourEntry, NeighbourReport
 from firmware_protocol.contract.records import BackpackConfiguration, BackpackLimits, Cause, Mode, ModeRecord, NodeStatus
+from firmware_protocol.first_use import prepare
 from firmware_protocol.messages import (
     LEAVE_PERIOD,
     LEAVE_RSSI,
@@ -26,7 +27,6 @@ from gateway.whereabouts import Place, Whereabouts
 
 _PENDING_PARTS = 33
 """A neighbour report cannot have more parts under way than a backpack has messages outstanding (WIRE_FORMAT.md §5.1)."""
-
 
 _MAX_DUPLICATES = 1024
 """Pairs of devices under one number that are told of; a flood of made-up ones is not."""
@@ -57,6 +57,9 @@ class NodeMemory(msgspec.Struct, frozen=True, kw_only=True):
     limits: Limits | None = None
     """As last announced, by this boot or an earlier one: they bound what is sent until the next announcement."""
     clock: ClockMemory | None = None
+
+
+prepare(NodeMemory)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -11,6 +11,8 @@ from typing import Final
 
 import msgspec
 
+from firmware_protocol.first_use import prepare
+
 MAX_ALERTS: Final = 1000
 """So many are remembered; those that are over go first, the oldest first."""
 
@@ -103,6 +105,9 @@ class Alert(msgspec.Struct, frozen=True, kw_only=True):
     def is_on(self) -> bool:
         """Say whether it holds."""
         return self.ended_wall_ns is None
+
+
+prepare(Alert)
 
 
 @dataclass(slots=True)

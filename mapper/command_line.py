@@ -35,10 +35,10 @@ _TITLE = (
     "over both. Keep what you change; `biobot-mapper serve --config FILE --check-config` tells all that is wrong with it."
 )
 
-_NO_ROOM = ("failed to map segment", "annot allocate memory")
-"""What the dynamic loader says where a library finds no memory."""
+_NO_ROOM = ("failed to map segment", "annot allocate memory", "error return without exception set")
+"""What the dynamic loader says where a library finds no memory, and the interpreter where it has none left to say so."""
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What writing to a place without room fails with, where that place is standard output: files are written elsewhere, and named."""
+"""What writing to a place without room fails with, most likely standard output: of files, the path is told where they are written."""
 
 
 def run_command_line(given: Sequence[str]) -> int:
@@ -54,7 +54,7 @@ def run_command_line(given: Sequence[str]) -> int:
         return _complain(str(error).splitlines(), status=_EXIT_FAILED)
     except MemoryError:
         return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)
-    except ImportError as error:  # a library that is imported when it is wanted, and for which there is no room
+    except (ImportError, SystemError) as error:  # something is imported when it is wanted, and there is no room for it
         if not any(words in str(error) for words in _NO_ROOM):
             raise
         return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)
@@ -66,7 +66,9 @@ def run_command_line(given: Sequence[str]) -> int:
         if error.filename is not None or error.errno not in _FULL:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return _complain([f"standard output: cannot write: {str(error.strerror).lower()}; send it to another place"], status=_EXIT_FAILED)
+        return _complain(
+            [f"cannot write: {str(error.strerror).lower()}; make room, or send the output to another place"], status=_EXIT_FAILED
+        )
     return status
 
 
@@ -96,7 +98,7 @@ def _check_configuration(args: argparse.Namespace) -> int:
     """Check file, environment and the flags of the command, all of them before any fault is told."""
     from mapper.feasibility_report import check_given  # noqa: PLC0415  # see _run
     from mapper.kernels import choose_kernels  # noqa: PLC0415  # see _run
-    from mapper.service_checks import check_service  # noqa: PLC0415  # see _run
+    from mapper.service_checks import check_service, service_obstacles  # noqa: PLC0415  # see _run
     from mapper.time_limits import make_limits  # noqa: PLC0415  # see _run
 
     flags = _recipe_flags(args)
@@ -105,7 +107,9 @@ def _check_configuration(args: argparse.Namespace) -> int:
 
     def check_sources() -> None:
         check = partial(check_service, tries_places=True)
-        load_mapper_config(args.config, environment=os.environ, flags=flags, check=check)
+        config = load_mapper_config(args.config, environment=os.environ, flags=flags, check=check)
+        for obstacle in service_obstacles(config) if args.command == "serve" else ():
+            print(f"biobot-mapper: warning: {obstacle}", file=sys.stderr)
 
     checks: list[Callable[[], object]] = [check_sources, choose_kernels]
     if args.command == "run":

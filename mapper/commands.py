@@ -317,8 +317,8 @@ class CommandDesk:
             outcome, reason = Outcome.UNKNOWN, str(fault) if fault else "the gateway's answer broke off"
         elif fault is not None:
             outcome, reason = Outcome.UNKNOWN if fault.is_timeout else Outcome.FAILED, str(fault)
-        elif command.action in STOPS and self._is_there(gateway):
-            outcome, reason = Outcome.UNKNOWN, "the gateway is on the bus, but tells nothing"
+        elif self._is_there(gateway):
+            outcome, reason = Outcome.UNKNOWN, "the gateway is on the bus, but told nothing of it"
         else:
             outcome, reason = Outcome.UNDELIVERED, "the gateway is not on the bus"
         command.settle(outcome=outcome, reason=reason, gateways=[gateway])

@@ -13,6 +13,7 @@ from firmware_protocol.configuration import Unfit, load_configuration
 from firmware_protocol.contract.keys import check_name
 from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError
+from firmware_protocol.first_use import prepare
 from mapper.types import Method, MetricKind, ProfileNorm, Recipe
 
 ENVIRONMENT_PREFIX = "BIOBOT_MAPPER"
@@ -122,6 +123,9 @@ class RecipeConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             raise ValueError(f"max_candidates is {self.max_candidates}, but must be 0 for no limit, or at least {_MIN_CANDIDATES}")
         if self.speed_mps is not None and not isfinite(self.speed_mps):
             raise ValueError(f"speed_mps is {self.speed_mps}, but must be a finite number of metres per second")
+
+
+prepare(RecipeConfig)
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

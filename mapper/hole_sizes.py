@@ -16,6 +16,7 @@ from math import exp, log, pi, sqrt
 import msgspec
 import numpy as np
 
+from firmware_protocol.first_use import prepare
 from mapper.types import FloatArray, Method, MetricKind
 
 LIMITED = ("slack", "backing")
@@ -92,6 +93,9 @@ class SizeModel:
     limits: tuple[tuple[float, float], tuple[float, float]]
     perimeter_variance: tuple[float, float, float]
     area_variance: tuple[float, float, float]
+
+
+prepare(SizeModel)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,6 +6,7 @@ from typing import Final
 
 import msgspec
 
+from firmware_protocol.first_use import prepare
 from mapper.errors import StoreError
 from mapper.store import Store
 
@@ -28,6 +29,9 @@ class PastMap(msgspec.Struct, frozen=True, kw_only=True):
     is_enough: bool | None
     n_encounters: int
     n_bytes: int
+
+
+prepare(PastMap)
 
 
 def read_past_maps(store: Store) -> list[PastMap]:

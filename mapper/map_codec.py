@@ -25,7 +25,7 @@ def decode_map(data: bytes) -> MapResult:
     msgspec.DecodeError
         ``data`` is something else.
     """
-    return msgspec.msgpack.decode(data, type=MapResult, dec_hook=_decode_array)
+    return _decoder.decode(data)
 
 
 def _encode_array(value: object) -> tuple[str, tuple[int, ...], bytes]:
@@ -40,3 +40,6 @@ def _decode_array(_kind: type, value: Any) -> Any:  # msgspec's hook: whatever w
     if name not in _ARRAYS:
         raise ValueError(f"an array of {name!r}; wanted one of {', '.join(_ARRAYS)}")
     return np.frombuffer(content, dtype=_ARRAYS[name]).reshape(shape)
+
+
+_decoder = msgspec.msgpack.Decoder(MapResult, dec_hook=_decode_array)

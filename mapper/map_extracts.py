@@ -4,6 +4,7 @@ from math import hypot
 
 import msgspec
 
+from firmware_protocol.first_use import prepare
 from mapper.errors import PlaceError
 from mapper.places import BiobotPlace, MapPlace, PointPlace
 from mapper.request_errors import HoleNotFoundError
@@ -62,6 +63,9 @@ class _Point(msgspec.Struct, frozen=True, kw_only=True):
 
 class _Points(msgspec.Struct, frozen=True, kw_only=True):
     points: list[_Point]
+
+
+prepare(_Sure, _Points, _Frame)
 
 
 _decoder = msgspec.json.Decoder(_Document)

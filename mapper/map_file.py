@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from firmware_protocol.first_use import prepare
 from mapper.errors import InputFileError
 from mapper.types import FloatArray, IntArray, Landmark, MapResult
 
@@ -70,6 +71,9 @@ class _Parameters(msgspec.Struct, frozen=True, kw_only=True):
 class _Document(msgspec.Struct, frozen=True, kw_only=True):
     parameters: _Parameters
     merging: Annotated[list[_Component], Meta(min_length=1)] | None = None
+
+
+prepare(_Document)
 
 
 def merging_facts(result: MapResult) -> dict[str, Any]:

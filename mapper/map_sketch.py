@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from firmware_protocol.first_use import prepare
 from mapper.errors import MapDocumentError
 from mapper.hole_shapes import draw_outline
 from mapper.record_columns import to_unsigned
@@ -154,6 +155,9 @@ class _Document(msgspec.Struct, frozen=True, kw_only=True):
     complex: _Complex
     components: Annotated[list[_Component], Meta(min_length=1)]
     parameters: _Parameters
+
+
+prepare(_Document)
 
 
 def sketch_document(document: Mapping[str, object], *, source: str) -> MapSketch:

@@ -10,6 +10,7 @@ from typing import Self
 import msgspec
 import msgspec.structs
 
+from firmware_protocol.first_use import prepare
 from mapper.map_job import MapDocuments
 from mapper.named_pins import Framing, NamedPin
 from mapper.served_bytes import ServedBytes
@@ -30,6 +31,9 @@ class FinishedMap(msgspec.Struct, frozen=True, kw_only=True):
     computed_wall_ns: int
     computing_s: float
     documents: MapDocuments
+
+
+prepare(FinishedMap)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,6 +14,7 @@ import msgspec
 
 from firmware_protocol.contract.commands import StimulationAccount
 from firmware_protocol.contract.records import MissionRecord
+from firmware_protocol.first_use import prepare
 from firmware_protocol.units import EVERYBODY
 from mapper.alert_book import Alert, AlertKind
 from mapper.certainty import chance_text, sure_text
@@ -65,6 +66,9 @@ class _Map(DrawnMap, frozen=True):
     warnings: list[str]
     parameters: _Parameters
     frame: dict[str, object] | None = None
+
+
+prepare(_Map)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

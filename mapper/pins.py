@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from firmware_protocol.first_use import prepare
 from mapper.errors import InputFileError, PinsError
 from mapper.frames import MAX_TANGENT_M, OperatorFrame, PinFit, TangentPlane, fit_pins
 from mapper.map_sketch import MapSketch
@@ -75,6 +76,9 @@ class _Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     pins: list[_Row]
+
+
+prepare(_File)
 
 
 def read_pins(path: Path) -> tuple[Pin, ...]:

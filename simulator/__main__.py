@@ -21,7 +21,7 @@ from simulator.radios import radio_flags
 
 _EXIT_FAILED, _EXIT_USAGE, _EXIT_INTERRUPTED = 1, 2, 130
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What writing to a place without room fails with, where that place is standard output: files are written elsewhere, and named."""
+"""What writing to a place without room fails with, most likely standard output: of files, the path is told where they are written."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -48,7 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.filename is not None or error.errno not in _FULL:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return _complain([f"standard output: cannot write: {str(error.strerror).lower()}; send it to another place"], status=_EXIT_FAILED)
+        return _complain(
+            [f"cannot write: {str(error.strerror).lower()}; make room, or send the output to another place"], status=_EXIT_FAILED
+        )
     except KeyboardInterrupt:
         return _complain(["interrupted"], status=_EXIT_INTERRUPTED)
     return status

@@ -6,6 +6,7 @@ from functools import partial
 import msgspec
 import shapely
 
+from firmware_protocol.first_use import prepare
 from firmware_protocol.landmarks import select_landmarks
 from simulator.config import RunConfig
 from simulator.errors import SnapshotError
@@ -28,6 +29,9 @@ class _Saved(msgspec.Struct, frozen=True):
     landmarks: list[int]
     n_done: int
     arenas: list[bytes]
+
+
+prepare(_Saved)
 
 
 class Expedition:

@@ -1,6 +1,7 @@
 """What gateways announce beside states, unjournaled: whom a biobot hears, and what an operator may want to know (CONTRACT.md §4)."""
 
 from firmware_protocol.contract.records import AnyNode, Struct
+from firmware_protocol.first_use import prepare
 from firmware_protocol.units import Nanoseconds, RssiDbm
 
 
@@ -28,3 +29,6 @@ class GatewayEvent(Struct, frozen=True, kw_only=True):
     level: str
     kind: str
     facts: dict[str, str]
+
+
+prepare(NeighbourReport, GatewayEvent)

@@ -9,6 +9,7 @@ from typing import Annotated
 import msgspec
 
 from firmware_protocol.contract.records import AnyNode, Mode, Struct
+from firmware_protocol.first_use import prepare
 from firmware_protocol.units import Nanoseconds
 
 _Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -182,3 +183,6 @@ class StimulationAccount(Struct, frozen=True, kw_only=True):
     """How used to trains it is by the model of docs/stimulation.md: 0 fresh, 1 fully; an estimate."""
     controlled_by: str = ""
     """Operator who moves it now."""
+
+
+prepare(StimulationRequest, CommandStage, CommanderBeat, StimulationAccount)

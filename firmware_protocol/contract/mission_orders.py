@@ -7,6 +7,7 @@ import msgspec
 
 from firmware_protocol.contract.commands import CommandId, OperatorName
 from firmware_protocol.contract.records import MissionPhase, Struct
+from firmware_protocol.first_use import prepare
 from firmware_protocol.units import Nanoseconds, NodeId
 
 
@@ -54,3 +55,6 @@ class MissionAnswer(Struct, frozen=True, kw_only=True):
     """Until the phase ends by itself; None: it does not, or not by time."""
     possible: tuple[MissionAction, ...] = ()
     """Orders that would be taken now."""
+
+
+prepare(MissionOrder, MissionAnswer)

@@ -5,6 +5,7 @@ from typing import Annotated
 import msgspec
 
 from firmware_protocol.contract.records import Struct
+from firmware_protocol.first_use import prepare
 from firmware_protocol.units import Nanoseconds
 
 _Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -31,3 +32,6 @@ class RecordingList(Struct, frozen=True, kw_only=True):
     """It records now."""
     recordings: tuple[RecordingEntry, ...] = ()
     n_left_out: _Count = 0
+
+
+prepare(RecordingList)

@@ -11,6 +11,7 @@ from typing import Annotated, TypeAlias, TypeVar
 import msgspec
 
 from firmware_protocol.errors import RecordError
+from firmware_protocol.first_use import prepare
 from firmware_protocol.units import BootId, Nanoseconds, NodeId, RssiDbm
 
 _Offset = Annotated[int, msgspec.Meta(ge=1)]
@@ -351,6 +352,7 @@ class NodeStatus(Struct, frozen=True, kw_only=True):
 
 
 _encoder = msgspec.msgpack.Encoder()
+prepare(RecordBatch, EncodedBatch, HistoryRequest, GatewayStatus, Watermark, NodeStatus)
 _StructT = TypeVar("_StructT", bound=Struct)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import msgspec
 
+from firmware_protocol.first_use import prepare
 from gateway.errors import InstallationError
 from gateway.installation.layout import RECORD
 
@@ -40,6 +41,9 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
     made: dict[str, str] = {}
     links: tuple[str, ...] = ()
     folders: tuple[str, ...] = ()
+
+
+prepare(Record)
 
 
 def read_record(root: Path) -> Record | None:

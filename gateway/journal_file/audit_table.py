@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import msgspec
 
+from firmware_protocol.first_use import prepare
 from gateway.journal_file.audit_chain import COLUMNS, ChainHead, genesis, link, row_of
 from gateway.journal_file.schema import read_meta
 from gateway.journal_file.writes import SENT_AGAIN, STAGE, AuditEntry
@@ -113,6 +114,9 @@ def _old_entry(row: tuple[object, ...]) -> AuditEntry:
 
 class _Signed(msgspec.Struct):
     operator: str = ""
+
+
+prepare(_Signed)
 
 
 def _operator_of(request: object) -> str:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from msgspec import Struct
 
 from firmware_protocol.contract.records import JournalRecord
+from firmware_protocol.first_use import prepare
 from firmware_protocol.units import BootId, Nanoseconds, NodeId
 
 STAGE = "stage"
@@ -63,6 +64,9 @@ class AuditEntry:
     """Start of the gateway that wrote it; 0: of a journal that did not say so."""
     chain: bytes = b""
     """Its hash."""
+
+
+prepare(AuditEntry)
 
 
 class JournalWrite(Struct, frozen=True, kw_only=True, gc=False):

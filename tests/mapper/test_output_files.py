@@ -156,4 +156,4 @@ def test_standard_output_without_room_is_told_in_a_line(program: str) -> None:
         done = subprocess.run([sys.executable, "-m", program, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
-    assert line.endswith("standard output: cannot write: no space left on device; send it to another place")
+    assert line.endswith("cannot write: no space left on device; make room, or send the output to another place")
