@@ -18,7 +18,8 @@ _MOST_UNHEARD: Final = 3
 """So many looks in a row: a busy machine answers late."""
 
 _VAIN_PAUSE_S: Final = 15.0
-_LONGEST_PAUSE_S: Final = 600.0
+_LONGEST_PAUSE_S: Final = 60.0
+"""Should it be heard for want of anything but a line in the roster, it must not wait long."""
 
 
 class Told(Enum):

@@ -77,11 +77,12 @@ def test_the_second_sides_report_is_a_revision_of_the_first(tmp_path: Path) -> N
                     two.say_hello()
                     await peer.hear()
                     one.say_encounter(NodeId(2), ago_ms=5000, duration_ms=3000)
+                    said_ms = two.now_ms
                     await until(lambda: len(peer.of(EncounterRecord)) == 1, what="the first side")
                 # Between the two sides' reports the gateway restarts: still one encounter, not two.
                 async with running(config):
                     await peer.hear()
-                    two.say_encounter(NodeId(1), ago_ms=5500, duration_ms=3400)
+                    two.say_encounter(NodeId(1), ago_ms=5500 + two.now_ms - said_ms, duration_ms=3400)
                     await until(lambda: len(peer.of(EncounterRecord)) == 2, what="the other side")
         first, second = peer.of(EncounterRecord)
         assert first.identity == second.identity

@@ -72,7 +72,8 @@ def test_whoever_is_steered_stops_when_the_steering_process_dies_hangs_or_leaves
             stages.append(decode_record(sample.payload.to_bytes(), CommandStage))
 
         async with on_tcp(dongle) as port, AsyncExitStack() as stack:
-            table = msgspec.structs.replace(_TABLE, commander_silence_s=0.5)
+            # Long enough for a busy machine: one whose beats came late would be stopped before its end is tried.
+            table = msgspec.structs.replace(_TABLE, commander_silence_s=4.0)
             config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=table)
             peer = stack.enter_context(listening(config))
             subscriber = peer.session.declare_subscriber(build_key(site="test", stream=Stream.STAGES, gateway=ANY), take_stage)
@@ -102,7 +103,7 @@ def test_a_script_of_which_a_step_was_refused_goes_on_and_fails_in_the_end(tmp_p
     async def story() -> None:
         dongle = a_dongle(7)
         async with on_tcp(dongle) as port:
-            seldom = msgspec.structs.replace(_TABLE, min_gap_s=600.0)
+            seldom = msgspec.structs.replace(_TABLE, min_gap_s=600.0, commander_silence_s=60.0)
             config = a_config(tmp_path, f"tcp:127.0.0.1:{port}", stimulation=seldom)
             with listening(config) as peer:
                 async with running(config):

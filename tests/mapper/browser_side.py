@@ -12,7 +12,7 @@ from typing import Any, Literal
 from playwright.sync_api import Browser, Page, expect
 
 ARTIFACTS = Path(__file__).parents[2] / "artifacts"
-WAIT_MS = 60_000
+WAIT_MS = 120_000
 expect.set_options(timeout=WAIT_MS)
 PHONE = (390, 844)
 DESK = (1280, 800)

@@ -4,7 +4,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,6 +12,16 @@ from mapper.access import Role, add_token
 
 START_S = 90.0
 STOP_S = 60.0
+PATIENCE_S = 150.0
+"""A map is computed by a process that steps back behind all others; at a load of 40 that is not within a minute."""
+
+
+def until(is_met: Callable[[], bool]) -> None:
+    """Wait until something is so."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not is_met():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 @contextmanager

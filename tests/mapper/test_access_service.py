@@ -2,8 +2,6 @@
 
 import json
 import ssl
-import time
-from collections.abc import Callable
 from datetime import UTC, datetime
 from http import HTTPStatus
 from pathlib import Path
@@ -18,16 +16,7 @@ from gateway.certificates import Authority
 from mapper.__main__ import main
 from mapper.access import Role, add_token, contains_token, read_tokens
 from studies.ports import free_port
-from tests.mapper.serving import serving, token_of
-
-DEADLINE_S = 60.0
-
-
-def until(is_met: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not is_met():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+from tests.mapper.serving import serving, token_of, until
 
 
 def certificate(directory: Path, *, host: str) -> tuple[Path, Path]:

@@ -165,7 +165,7 @@ def test_states_reach_the_fleet_and_the_newest_wins() -> None:
         port = free_port()
         with FakeGateway(port=port) as gateway:
             async with mapper_side(port) as side:
-                await until(lambda: side.bus.is_connected and gateway.is_heard)
+                await until(lambda: gateway.is_heard and side.fleet.is_on_bus(gateway.name))
                 seen = side.changes.versions
                 gateway.publish_status()
                 gateway.publish_node(2**64 - 1, mode=Mode.S, battery_mv=3600, heard_ns=20)

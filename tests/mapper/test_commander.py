@@ -80,7 +80,8 @@ def test_a_mapper_that_is_ended_stops_whom_it_moves_and_then_lets_its_token_go(t
         process.send_signal(signal.SIGTERM)
         assert process.wait(STOP_S) == 0
         assert (gateway.commands[-1].node, gateway.commands[-1].action) == (5, StimulationAction.STOP)
-        assert tokens_at_stop == [{"map1"}]
+        # A stop is asked once more where its answer is late, as on a busy machine; the token may have gone by then.
+        assert tokens_at_stop[0] == {"map1"}
         while gateway.commanders:
             assert time.monotonic() < deadline
             time.sleep(0.01)

@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from http import HTTPStatus
 
 import httpx
+import pytest
 
 from firmware_protocol.contract.commands import PulseRequest, Stage, StimulationAction, StimulationRequest, WaveformName
 from firmware_protocol.units import Nanoseconds, NodeId
+from mapper import commands
 from mapper.changes import Topic
 from tests.mapper.fake_gateway import ANCHOR_NS, DEADLINE_NS, FakeGateway, account
 from tests.mapper.mapper_side import DEADLINE_S, Side, until
@@ -46,7 +48,9 @@ def test_a_train_of_ones_own_reaches_the_gateway() -> None:
     run_story(story)
 
 
-def test_stages_are_seen_while_they_happen() -> None:
+def test_stages_are_seen_while_they_happen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(commands, "_PATIENCE_S", DEADLINE_S)
+
     async def story(side: Side, gateways: list[FakeGateway], client: httpx.AsyncClient) -> None:
         (gateway,) = gateways
         await meet(side, gateway, 5)

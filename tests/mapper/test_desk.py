@@ -255,7 +255,7 @@ def test_a_command_shows_its_stages_and_a_second_start_says_why_it_waits(site: S
     def in_step(request: StimulationRequest) -> Iterator[Stage]:
         """Go on when the page has shown the stage before; a start of 2 goes on when its stop has come."""
         yield Stage.ACCEPTED
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + WAIT_MS / 1000
         while request.action is StimulationAction.START and len(site.gateway.commands) < 2 and time.monotonic() < deadline:
             time.sleep(0.02)
         yield Stage.REFUSED if request.action is StimulationAction.START else Stage.BIOBOT_CONFIRMED

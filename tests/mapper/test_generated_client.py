@@ -23,8 +23,7 @@ from studies.ports import free_port
 from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.mapper_side import mapper_side
 from tests.mapper.ring import ring_records
-from tests.mapper.serving import serving, token_of
-from tests.mapper.test_service import until
+from tests.mapper.serving import serving, token_of, until
 from tests.mapper.web_side import openapi_of
 
 ROOT: Final = Path(__file__).parent.parent.parent

@@ -16,7 +16,7 @@ from mapper.period_job import PeriodMap, make_period_map
 from mapper.store import Store
 from mapper.worker import Worker
 from tests.mapper.fake_gateway import ANCHOR_NS, S
-from tests.mapper.mapper_side import Side, mapper_side, until
+from tests.mapper.mapper_side import PATIENCE_S, Side, mapper_side, until
 from tests.mapper.ring import ring_records
 from tests.mapper.web_side import check_against, client_of, openapi_of
 
@@ -57,7 +57,7 @@ async def at_work(side: Side, client: httpx.AsyncClient) -> tuple[str, int]:
 
 
 async def ended(side: Side, job_id: str) -> None:
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(PATIENCE_S):
         await side.jobs.get(job_id).is_done.wait()
 
 

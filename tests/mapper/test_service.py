@@ -4,8 +4,7 @@ import json
 import logging
 import signal
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +18,9 @@ from mapper.rips_engines import name_engine
 from studies.ports import free_port
 from tests.mapper.fake_gateway import FakeGateway, encounter
 from tests.mapper.ring import ring_records
-from tests.mapper.serving import STOP_S, serving
+from tests.mapper.serving import STOP_S, serving, until
 
 DEADLINE_S = 60.0
-
-
-def until(is_met: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not is_met():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def get(url: str) -> Any:

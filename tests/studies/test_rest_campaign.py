@@ -18,8 +18,7 @@ from studies.rest_campaign.operations import Operation, load_operations
 from studies.rest_campaign.tally import Tally, write_command, write_report
 from tests.mapper.fake_gateway import FakeGateway
 from tests.mapper.ring import ring_records
-from tests.mapper.serving import serving
-from tests.mapper.test_service import until
+from tests.mapper.serving import serving, until
 
 TARGET = Target(url="http://127.0.0.1:1", tokens={role: f"biobot_{role}" for role in Role})
 SIZED = {"type": "object", "required": ["size"], "properties": {"size": {"type": "integer"}}}
