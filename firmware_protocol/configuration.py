@@ -14,6 +14,8 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import msgspec
 
 from firmware_protocol.errors import ConfigurationError
+from firmware_protocol.nearest_word import did_you_mean
+from firmware_protocol.own_files import HEAD_BYTES, tell_own_file
 
 ConfigT = TypeVar("ConfigT", bound=msgspec.Struct)
 
@@ -80,7 +82,9 @@ def load_configuration(
         try:
             _merge(merged, tomllib.loads(toml_text), origin=origin, source=toml_name)
         except tomllib.TOMLDecodeError as error:
-            problems.append(f"{toml_name}: not valid TOML: {error}")
+            own = tell_own_file(toml_text[:HEAD_BYTES].encode())
+            known = "" if own is None else f"; it is {own.what}: {own.use}"
+            problems.append(f"{toml_name}: not valid TOML: {error}{known}")
             check = None  # what the file was to say is not known
     for name, text in sorted((environment or {}).items()):
         if name.startswith(environment_prefix + _SEPARATOR):
@@ -149,7 +153,7 @@ def _convert_fields(
     fields = {field.encode_name: field for field in msgspec.structs.fields(config_type)}
     known = ", ".join(sorted(fields))
     problems += [
-        f"{origin.get(prefix + key, '?')}: unknown key {prefix + key!r}; known here: {known}"
+        f"{origin.get(prefix + key, '?')}: unknown key {prefix + key!r}; known here: {known}{did_you_mean(key, fields)}"
         for key in sorted(given.keys() - fields.keys())
     ]
     values: dict[str, Any] = {}

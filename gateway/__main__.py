@@ -7,6 +7,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 
 from firmware_protocol.errors import ConfigurationError, KeyExpressionError, ProtocolError
+from firmware_protocol.nearest_word import CommandParser
 from gateway.commands import (
     asking,
     audit,
@@ -92,7 +93,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="biobot-gateway", description="Base station of a biobot network: radios in, Zenoh out.")
+    parser = CommandParser(prog="biobot-gateway", description="Base station of a biobot network: radios in, Zenoh out.")
     parser.add_argument("--version", action="version", version=f"biobot-gateway {version('biobot-gateway')}")
     run.add_config(parser, default=None)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")

@@ -17,6 +17,7 @@ from gateway.errors import CommandError
 
 _DISCOVERY_S = 3.0
 _STATUS_POLL_S = 0.02
+_MOST_NAMED = 10
 
 
 def send_command(
@@ -116,7 +117,7 @@ def find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, conn
         while not found.empty():
             names.add(parse_key(found.get_nowait()).gateway)
     except (queue.Empty, KeyExpressionError) as error:
-        raise CommandError(nobody_alive(site=site, gateway=gateway, connect=connect)) from error
+        raise CommandError(nobody_alive(site=site, gateway=gateway, connect=connect, others=who_is_alive(session))) from error
     finally:
         subscriber.undeclare()  # type: ignore[no-untyped-call]  # the stub lacks its return type
     if len(names) > 1:
@@ -124,10 +125,18 @@ def find_gateway(session: zenoh.Session, *, site: str, gateway: str | None, conn
     return names.pop()
 
 
-def nobody_alive(*, site: str, gateway: str | None, connect: Sequence[str]) -> str:
-    """Say that a gateway, or any, is not to be found."""
+def nobody_alive(*, site: str, gateway: str | None, connect: Sequence[str], others: Sequence[str] = ()) -> str:
+    """Say that a gateway, or any, is not to be found, and which others are."""
     who = f"gateway {gateway!r} is not" if gateway else "no gateway is"
-    return f"{who} alive at site {site!r} on {', '.join(connect)}; is it running, and are site and endpoint right?"
+    found = f" There is {', '.join(others)}." if others else ""
+    return f"{who} alive at site {site!r} on {', '.join(connect)}; is it running, and are site and endpoint right?{found}"
+
+
+def who_is_alive(session: zenoh.Session) -> list[str]:
+    """Return the gateways of all sites that a session sees, in order, at most ten; access control may show it its own site alone."""
+    keys = session.liveliness().get(build_key(site=ANY, stream=Stream.ALIVE, gateway=ANY), timeout=_DISCOVERY_S)
+    found = sorted({str(reply.ok.key_expr) for reply in keys if reply.ok is not None})
+    return [f"gateway {key.gateway!r} at site {key.site!r}" for key in map(parse_key, found[:_MOST_NAMED])]
 
 
 def _ask(session: zenoh.Session, key: str, payload: bytes, *, gateway: str, timeout_s: float) -> Iterator[bytes]:

@@ -143,7 +143,8 @@ class ConnectionWatch:
                 asked_s = time.monotonic()
 
     def _say_connected(self, n_connected: int) -> None:
-        if n_connected and (self._reasons or not self._n_connected):
+        # Who connects to nobody has nothing to find: others come to it for a moment, again and again.
+        if n_connected and self._connect and (self._reasons or not self._n_connected):
             _log.info("bus.connected", n=n_connected)
         self._reasons, self._n_connected = {}, n_connected
 

@@ -18,7 +18,7 @@ from firmware_protocol.contract.keys import ANY, Stream, build_key, parse_key
 from firmware_protocol.contract.records import decode_record, encode_record
 from firmware_protocol.contract.sessions import TlsTable, ZenohTable
 from firmware_protocol.errors import KeyExpressionError, RecordError
-from gateway.bus_client import nobody_alive
+from gateway.bus_client import nobody_alive, who_is_alive
 from gateway.bus_session import open_client
 from gateway.errors import BusError, CommandError
 from gateway.log import EventLog
@@ -68,7 +68,8 @@ def stop_everywhere(
         call = _Call(session, requests=requests, site=site, gateway=gateway, timeout_s=timeout_s, on_gateway=on_gateway)
         yield from call.run()
         if not call.known:
-            raise CommandError(f"{nobody_alive(site=site, gateway=gateway, connect=connect)} Nothing was stopped")
+            others = who_is_alive(session)
+            raise CommandError(f"{nobody_alive(site=site, gateway=gateway, connect=connect, others=others)} Nothing was stopped")
 
 
 @dataclass(slots=True)

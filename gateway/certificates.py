@@ -19,7 +19,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from firmware_protocol.contract.access import Identity, parse_identity, parse_roster
+from firmware_protocol.contract.access import Identity, Role, parse_identity, parse_roster
+from firmware_protocol.contract.keys import ANY
 from firmware_protocol.errors import KeyExpressionError
 from gateway.errors import CertificateError
 
@@ -108,6 +109,19 @@ class Authority:
             raise CertificateError(path=str(path), reason="is not the key to ca.pem", advice="restore both from the same copy")
         return cls(directory, certificate=certificate, key=key)
 
+    def sites(self) -> list[str]:
+        """Return the sites that those on the roster are of, in order; who is welcome at all sites says nothing of them.
+
+        Raises
+        ------
+        CertificateError
+            The roster cannot be read.
+        """
+        path = self._directory / "roster.txt"
+        with _writing(path):
+            text = path.read_text(encoding="utf-8") if path.exists() else ""
+        return sorted({member.site for member in parse_roster(text)[0]} - {ANY})
+
     def issue(self, identity: Identity, *, hosts: Sequence[str], days: int, now: datetime, renew: bool = False) -> Path:
         """Issue a certificate, enter it on the roster, and return its folder.
 
@@ -121,7 +135,8 @@ class Authority:
         Raises
         ------
         CertificateError
-            There is one already and ``renew`` is not set, or none and it is; a host is none; a file cannot be written.
+            There is one already and ``renew`` is not set, or none and it is; a host is none, or a router has none; a file cannot be
+            written.
         """
         folder = folder_of(self._directory, identity)
         target = folder / "certificate.pem"
@@ -137,6 +152,8 @@ class Authority:
                 reason=f"{days} days are asked for, but the authority lasts {left} more",
                 advice="give --days from 1 to that",
             )
+        if problems := _host_problems(identity.common_name, hosts):
+            raise CertificateError(path=str(target), reason=problems[0], advice="give each name and address by which others reach it")
         names = [_general_name(host, path=str(target)) for host in hosts]
         key = ec.generate_private_key(ec.SECP256R1())
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, identity.common_name)])
@@ -211,6 +228,7 @@ def list_certificates(directory: Path, *, now: datetime) -> list[IssuedCertifica
                     *_mode_problems(path.parent / "key.pem"),
                     *_issuer_problems(certificate, ca),
                     *_name_problems(name),
+                    *_host_problems(name, _hosts_of(certificate)),
                 ),
             )
         )
@@ -305,6 +323,12 @@ def _name_problems(common_name: str) -> list[str]:
     except KeyExpressionError as error:
         return [str(error)]
     return []
+
+
+def _host_problems(common_name: str, hosts: Sequence[str]) -> list[str]:
+    """A router is there to be connected to; of the others one that listens needs hosts, which its certificate does not tell."""
+    is_router = common_name.split("/")[1:2] == [Role.ROUTER.value]
+    return ["a router's certificate without a host lets nobody connect; issue it with --host ADDRESS"] if is_router and not hosts else []
 
 
 def _load_certificate(path: Path, *, advice: str) -> x509.Certificate:

@@ -15,9 +15,10 @@ from firmware_protocol.contract.access import Role
 from firmware_protocol.contract.commands import WaveformName
 from firmware_protocol.contract.keys import check_name
 from firmware_protocol.contract.sessions import SECURE_PREFIXES, endpoint_problem, tls_problems
-from firmware_protocol.errors import ConfigurationError, KeyExpressionError
+from firmware_protocol.errors import KeyExpressionError
 from firmware_protocol.messages import OWN_CHANNEL
 from gateway.config import GatewayConfig, StimulationTable
+from gateway.config_file import read_config_file
 from gateway.errors import JournalUnfitError
 from gateway.journal_file import expect_fit_to_open
 from gateway.tls_files import check_tls_files, read_roster
@@ -56,12 +57,6 @@ def load_gateway_config(
     ConfigurationError
         With one line for each fault of all sources.
     """
-    toml_text = None
-    if toml_path is not None:
-        try:
-            toml_text = toml_path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigurationError([f"{toml_path}: cannot be read: {error}"]) from error
 
     def check(config: GatewayConfig) -> Iterator[Unfit]:
         yield from _name_problems(config)
@@ -77,7 +72,7 @@ def load_gateway_config(
 
     return load_configuration(
         GatewayConfig,
-        toml_text=toml_text,
+        toml_text=read_config_file(toml_path),
         toml_name=str(toml_path),
         environment=environment,
         environment_prefix=ENVIRONMENT_PREFIX,

@@ -4,7 +4,9 @@ import contextlib
 import os
 import queue
 import signal
+import time
 from collections.abc import Callable
+from dataclasses import asdict
 from enum import Enum
 from types import FrameType
 
@@ -20,6 +22,7 @@ from gateway.errors import BusError
 from gateway.health import Health
 from gateway.log import EventLog
 from gateway.router_config import RouterConfig
+from gateway.router_guests import Guest, GuestBook
 from gateway.service_manager import ServiceManager
 from gateway.tls_files import check_tls_files, read_roster
 from gateway.zenoh_log import capture_zenoh_log
@@ -45,6 +48,7 @@ class Router:
         self._happenings: queue.SimpleQueue[_Order | zenoh.LinkEvent] = queue.SimpleQueue()
         self._members: list[Identity] = []
         self._facts: CertificateFacts | None = None
+        self._guests = GuestBook()
         self._session: zenoh.Session
         self._watch: ConnectionWatch
 
@@ -80,6 +84,8 @@ class Router:
                     self._reload()
                 elif isinstance(happening, zenoh.LinkEvent):
                     self._tell(happening)
+                for guest in self._guests.stayed(now_s=time.monotonic()):
+                    self._say_of(guest)("router.joined", **asdict(guest))
                 # Zenoh is asked first: a router that hangs in it gives no sign of life.
                 self._manager.tell(f"{len(self._session.info.transports())} connected")
                 self._manager.give_sign()
@@ -89,9 +95,12 @@ class Router:
         _log.info("router.stopped")
 
     def _next(self) -> "_Order | zenoh.LinkEvent | None":
-        """Wait for what happens next; None: nothing did until a sign of life was due."""
+        """Wait for what happens next; None: nothing did until a sign of life was due, or somebody had come to stay."""
+        due_s = self._guests.next_s()
+        waits_s = [] if due_s is None else [max(0.0, due_s - time.monotonic())]
+        waits_s += [] if self._manager.sign_every_s is None else [self._manager.sign_every_s]
         try:
-            return self._happenings.get(timeout=self._manager.sign_every_s)
+            return self._happenings.get(timeout=min(waits_s, default=None))
         except queue.Empty:
             return None
 
@@ -133,26 +142,28 @@ class Router:
             _log.info("router.roster_unchanged", members=len(members))
             return
         self._close()
+        self._guests.forget()
         self._open(members)
         _log.info("router.roster_read", members=len(members))
 
     def _tell(self, event: zenoh.LinkEvent) -> None:
         link = event.link
-        name = link.auth_identifier or ""
-        facts = {"name": name, "address": link.dst, "zid": str(link.zid)}
+        guest = Guest(name=link.auth_identifier or "", address=link.dst, zid=str(link.zid))
         if event.kind == zenoh.SampleKind.DELETE:
-            self._say_of(name)("router.left", **facts)
+            if self._guests.leave(guest):
+                self._say_of(guest)("router.left", **asdict(guest))
             return
-        stranger = self._why_stranger(name)
+        stranger = self._why_stranger(guest.name)
         if stranger is None:
-            self._say_of(name)("router.joined", **facts)
-        else:
-            self._health.count("router.strangers")
-            _log.warning("router.stranger", **facts, reason=stranger)
+            self._guests.come(guest, now_s=time.monotonic())
+            return
+        self._health.count("router.strangers")
+        if self._guests.come_stranger(guest.name, now_s=time.monotonic()):
+            _log.warning("router.stranger", **asdict(guest), reason=stranger)
 
-    def _say_of(self, name: str) -> Callable[..., None]:
+    def _say_of(self, guest: Guest) -> Callable[..., None]:
         """Return how to log who comes and goes: whoever shows this router's own certificate is `ping_router`, again and again."""
-        return _log.debug if name and self._facts is not None and name == self._facts.common_name else _log.info
+        return _log.debug if guest.name and self._facts is not None and guest.name == self._facts.common_name else _log.info
 
     def _why_stranger(self, common_name: str) -> str | None:
         if self._config.roster is None or common_name in {member.common_name for member in self._members}:

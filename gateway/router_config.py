@@ -1,18 +1,21 @@
 """The router's configuration."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
-from firmware_protocol.configuration import load_configuration
+from firmware_protocol.configuration import Unfit, load_configuration
 from firmware_protocol.contract.access import Role
 from firmware_protocol.contract.sessions import TlsTable, ZenohTable, endpoint_problem, tls_problems
-from firmware_protocol.errors import ConfigurationError
+from gateway.config_file import read_config_file
 from gateway.tls_files import check_tls_files, read_roster
 
 ENVIRONMENT_PREFIX = "BIOBOT_ROUTER"
+
+_TLS = ("tls.ca", "tls.certificate", "tls.key")
+_FLAG_NAMES = {key: f"--{key.replace('.', '-')}" for key in _TLS}
 
 
 class RouterConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -47,38 +50,35 @@ def load_router_config(*, toml_path: Path | None, environment: Mapping[str, str]
     ConfigurationError
         With one line for each fault.
     """
-    text = None
-    if toml_path is not None:
-        try:
-            text = toml_path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigurationError([f"{toml_path}: cannot be read: {error}"]) from error
-    config = load_configuration(
+    return load_configuration(
         RouterConfig,
-        toml_text=text,
+        toml_text=read_config_file(toml_path),
         toml_name=str(toml_path),
         environment=environment,
         environment_prefix=ENVIRONMENT_PREFIX,
         flags=flags,
+        flag_names=_FLAG_NAMES,
+        check=_problems,
     )
-    problems = [
-        f"{key}: {reason}"
-        for key, endpoints in (("listen", config.listen), ("connect", config.connect))
-        for endpoint in endpoints
-        if (reason := endpoint_problem(endpoint, listens=key == "listen"))
-    ]
-    problems += [*tls_problems(config.tls, listen=config.listen, connect=config.connect)]
-    problems += check_tls_files(config.tls, roles=(Role.ROUTER,)).problems
+
+
+def _problems(config: RouterConfig) -> Iterator[Unfit]:
+    for key, endpoints in (("listen", config.listen), ("connect", config.connect)):
+        for endpoint in endpoints:
+            if reason := endpoint_problem(endpoint, listens=key == "listen"):
+                yield Unfit(keys=(key,), reason=f"{key}: {reason}")
     if not config.listen:
-        problems.append("listen is empty: nobody could connect; give an endpoint such as tls/0.0.0.0:7447")
+        yield Unfit(keys=("listen",), reason="listen is empty: nobody could connect; give an endpoint such as tls/0.0.0.0:7447")
+    for reason in tls_problems(config.tls, listen=config.listen, connect=config.connect):
+        yield Unfit(keys=(*_TLS, "listen", "connect"), reason=reason)
+    for reason in check_tls_files(config.tls, roles=(Role.ROUTER,)).problems:
+        yield Unfit(keys=_TLS, reason=reason)
     if config.tls.certificate is not None and config.roster is None:
-        problems.append(
-            "tls is given, but roster is not: every certificate of the authority might do everything; name the authority's roster.txt"
-        )
+        why = "every certificate of the authority might do everything; name the authority's roster.txt"
+        yield Unfit(keys=("tls.certificate", "roster"), reason=f"tls is given, but roster is not: {why}")
     if config.roster is not None:
-        problems += read_roster(config.roster)[1]
+        for reason in read_roster(config.roster)[1]:
+            yield Unfit(keys=("roster",), reason=reason)
         if config.tls.certificate is None:
-            problems.append("roster is given, but tls is not: without certificates nobody can be told from anybody; give [tls] too")
-    if problems:
-        raise ConfigurationError(problems)
-    return config
+            why = "without certificates nobody can be told from anybody; give [tls] too"
+            yield Unfit(keys=("roster", "tls.certificate"), reason=f"roster is given, but tls is not: {why}")

@@ -8,6 +8,7 @@ import re
 import threading
 import time
 from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
 from gateway.log import EventLog
@@ -29,6 +30,11 @@ _PLAIN_WORDS: Final = {
     "(`certs issue --host`), or not of the authority of their tls.ca",
     "received fatal alert": "somebody who connects refuses our certificate: it is of another authority than their tls.ca",
     "InvalidContentType": "somebody who connects speaks no TLS; their endpoint should begin with tls/",
+    **dict.fromkeys(
+        ("Unknown interest", "Unknown subscriber id", "Unknown queryable id", "Unknown token id", "Unknown id"),
+        "somebody takes back what this router never took from them, since it is denied to them: who is not on the roster "
+        "(router.stranger names them), or whose role does not let them; where all that are connected are on it, no harm is done",
+    ),
     "handshake eof": "somebody who connects hung up before TLS was agreed on: a port scan, one that speaks no TLS, or one that gave up",
 }
 """What Zenoh says of handshakes, measured with eclipse-zenoh 1.10; the first that fits counts. It does not tell whose they were."""
@@ -65,8 +71,21 @@ def parse_line(line: str) -> tuple[str, str] | None:
 
 def put_plainly(text: str) -> str:
     """Return what Zenoh says of a refused handshake in words that name the next step, its own in brackets; all else as it is."""
-    plain = next((words for sign, words in _PLAIN_WORDS.items() if sign in text), None)
+    plain = _plain_words(text)
     return text if plain is None else f"{plain} [{text}]"
+
+
+def what_is_told(lines: Iterable[str], *, clock_s: Callable[[], float] = time.monotonic) -> Iterator[tuple[str, str]]:
+    """Yield level and words of each line of Zenoh's log that says something new; two that mean the same are one."""
+    said = SaidOnce()
+    for line in lines:
+        parsed = parse_line(line)
+        if parsed is not None and said.is_new(_plain_words(parsed[1]) or parsed[1], now_s=clock_s()):
+            yield parsed[0], put_plainly(parsed[1])
+
+
+def _plain_words(text: str) -> str | None:
+    return next((words for sign, words in _PLAIN_WORDS.items() if sign in text), None)
 
 
 def capture_zenoh_log() -> None:
@@ -81,10 +100,7 @@ def capture_zenoh_log() -> None:
 
 
 def _read(descriptor: int) -> None:
-    said = SaidOnce()
     with os.fdopen(descriptor, encoding="utf-8", errors="replace") as lines:
-        for line in lines:
-            parsed = parse_line(line)
-            if parsed is not None and said.is_new(parsed[1], now_s=time.monotonic()):
-                say = _log.error if parsed[0] == "ERROR" else _log.warning
-                say("zenoh", reason=put_plainly(parsed[1]))
+        for level, reason in what_is_told(lines):
+            say = _log.error if level == "ERROR" else _log.warning
+            say("zenoh", reason=reason)

@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Sequence
 
 from firmware_protocol.units import NS_PER_S
-from mapper.contact_statistics import ContactStatistics, follows_lines, gathers, has_fine_times, keeps_company
+from mapper.confidence import ACROSS_PARTS, MUCH_APART
+from mapper.contact_statistics import ContactStatistics, follows_lines, gathers, has_fine_times, keeps_company, shows_fineness
 from mapper.reading import ProximityLog
 from mapper.types import KNOWN_PLACES, Assumption, DataVerdict, MapResult, Standing
 
@@ -94,6 +95,12 @@ def _of_movement(statistics: ContactStatistics) -> Iterator[Assumption]:
         yield Assumption(
             name="even_meetings", holds=None, text="whether nodes move at random cannot be seen with so few or so many of them"
         )
+    elif keeps_company(statistics) and statistics.apart > MUCH_APART:
+        text = (
+            f"how often pairs meet varies {uneven:.3g} times as much as by chance, for the nodes fall into parts that have no meeting in "
+            f"common: {ACROSS_PARTS}"
+        )
+        yield Assumption(name="even_meetings", holds=False, text=text)
     elif keeps_company(statistics):
         text = (
             f"nodes do not move at random: how often pairs meet varies {uneven:.3g} times as much as by chance (walkers: 1 to 4), "
@@ -129,6 +136,9 @@ def _of_movement(statistics: ContactStatistics) -> Iterator[Assumption]:
 def _fine_times(log: ProximityLog, statistics: ContactStatistics) -> Assumption:
     grid_ns = max(log.tick_ns, statistics.grid_ns)
     told = f"times are known to {_span(grid_ns)}, and a walking node meets another every {_span(round(statistics.interval_ns))}"
+    if not shows_fineness(statistics):
+        text = "whether times are told finely enough cannot be seen with so few encounters"
+        return Assumption(name="fine_times", holds=None, text=text)
     if not has_fine_times(statistics, tick_ns=log.tick_ns):
         return Assumption(name="fine_times", holds=False, text=f"{told}: what is walked in less cannot be told from standing")
     return Assumption(name="fine_times", holds=True, text=told)

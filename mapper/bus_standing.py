@@ -16,6 +16,7 @@ from typing import Final, TypeAlias
 import zenoh
 import zenoh.ext
 
+from firmware_protocol.contract.hearing import WHY, Hearing, Told
 from firmware_protocol.contract.sessions import CLIENT, ROUTER, TlsTable, ZenohTable, mode_of_service, session_settings
 from mapper.bus_echo import answer_echo, is_heard
 from mapper.log import EventLog
@@ -31,14 +32,6 @@ _PAUSE_S: Final = 0.1
 _JOIN_S: Final = 3.0
 _SETTLE_S: Final = 0.1
 """For Zenoh's threads to let go of what they called back: in an interpreter that ends meanwhile, they bring the process down."""
-
-_LOOKS_S: Final = (2.0, 4.0, 14.0)
-"""Pauses after a new link, and after each look, before it is looked whether the session is heard."""
-
-_LOOK_EVERY_S: Final = 60.0
-_AGAIN_S: Final = 1.0
-_MOST_UNHEARD: Final = 3
-"""So many looks in a row: a busy machine answers late."""
 
 
 class StandingSession:
@@ -61,6 +54,7 @@ class StandingSession:
         self._connect, self._tls, self._timing = connect, tls, timing
         self._lock = threading.RLock()
         self._closing, self._has_link = threading.Event(), threading.Event()
+        self._hearing = Hearing()
         self._session: zenoh.Session | None = None
         self._makers: dict[str, Callable[[zenoh.Session], Declared]] = {}
         self._made: dict[str, Declared] = {}
@@ -196,20 +190,19 @@ class StandingSession:
                     one.undeclare()
 
     def _look(self, key: str) -> None:
-        """Look now and then, and after each new link, whether one is heard; returns when one is not."""
-        looks_s, n_unheard = list(_LOOKS_S), 0
+        """Look now and then, and after each new link, whether one is heard; returns when it is to be joined anew."""
+        self._hearing.begin()
         while not self._closing.is_set():
-            if self._has_link.wait(looks_s.pop(0) if looks_s else _LOOK_EVERY_S):
+            if self._has_link.wait(self._hearing.pause_s()):
                 self._has_link.clear()
-                looks_s = list(_LOOKS_S)
+                self._hearing.link()
                 continue
-            heard = is_heard(key, open_session=self._probe)
-            n_unheard = n_unheard + 1 if heard is False else 0
-            if n_unheard >= _MOST_UNHEARD:
-                _log.warning("bus.unheard", reason="it is connected, and the router does not hear it; it is joined anew")
+            told = self._hearing.look(is_heard=is_heard(key, open_session=self._probe))
+            if told is not None:
+                say = {Told.UNHEARD: _log.warning, Told.DENIED: _log.error, Told.HEARD: _log.info}[told]
+                say(told.value, reason=WHY[told])
+            if self._hearing.joins_anew:
                 return
-            if n_unheard:
-                looks_s.insert(0, _AGAIN_S)
 
     def _on_link(self, event: zenoh.LinkEvent) -> None:
         """Runs on a thread of Zenoh."""

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from firmware_protocol.errors import ConfigurationError
+from firmware_protocol.nearest_word import CommandParser
 from mapper.config import MapperConfig, ServiceConfig, load_mapper_config, make_recipe
 from mapper.errors import MapError, OutOfMemoryError, TooFewEncountersError
 from mapper.flag_values import join_negative_numbers, read_id_list, read_number_of_classes, read_seconds
@@ -33,8 +34,8 @@ _TITLE = (
     "over both. Keep what you change; `biobot-mapper serve --config FILE --check-config` tells all that is wrong with it."
 )
 
-_NO_ROOM = ("failed to map segment", "annot allocate memory")
-"""What the dynamic loader says where a library finds no memory."""
+_NO_ROOM = ("failed to map segment", "annot allocate memory", "error return without exception set")
+"""What the dynamic loader says where a library finds no memory, and the interpreter where it has none left to say so."""
 
 
 def run_command_line(given: Sequence[str]) -> int:
@@ -50,7 +51,7 @@ def run_command_line(given: Sequence[str]) -> int:
         return _complain(str(error).splitlines(), status=_EXIT_FAILED)
     except MemoryError:
         return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)
-    except ImportError as error:  # a library that is imported when it is wanted, and for which there is no room
+    except (ImportError, SystemError) as error:  # something is imported when it is wanted, and there is no room for it
         if not any(words in str(error) for words in _NO_ROOM):
             raise
         return _complain([str(OutOfMemoryError(n_encounters=None))], status=_EXIT_FAILED)
@@ -87,7 +88,7 @@ def _check_configuration(args: argparse.Namespace) -> int:
     """Check file, environment and the flags of the command, all of them before any fault is told."""
     from mapper.feasibility_report import check_given  # noqa: PLC0415  # see _run
     from mapper.kernels import choose_kernels  # noqa: PLC0415  # see _run
-    from mapper.service_checks import check_service  # noqa: PLC0415  # see _run
+    from mapper.service_checks import check_service, service_obstacles  # noqa: PLC0415  # see _run
     from mapper.time_limits import make_limits  # noqa: PLC0415  # see _run
 
     flags = _recipe_flags(args)
@@ -96,7 +97,9 @@ def _check_configuration(args: argparse.Namespace) -> int:
 
     def check_sources() -> None:
         check = partial(check_service, tries_places=True)
-        load_mapper_config(args.config, environment=os.environ, flags=flags, check=check)
+        config = load_mapper_config(args.config, environment=os.environ, flags=flags, check=check)
+        for obstacle in service_obstacles(config) if args.command == "serve" else ():
+            print(f"biobot-mapper: warning: {obstacle}", file=sys.stderr)
 
     checks: list[Callable[[], object]] = [check_sources, choose_kernels]
     if args.command == "run":
@@ -261,7 +264,7 @@ def _write_outputs(
 
 def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
     about = "From encounters between walking biobots to a map of the space they walked."
-    parser = argparse.ArgumentParser(prog="biobot-mapper", description=about)
+    parser = CommandParser(prog="biobot-mapper", description=about)
     _add_common(parser, default=None)
     commands = parser.add_subparsers(dest="command", metavar="{run,route,merge,serve,tokens,feasibility,warm-up,config}")
     about = "Make a map of a log of contacts."

@@ -20,6 +20,7 @@ _MOST_NODES = 2_000  # a table of all pairs is kept
 _FEWEST_NODES = 8  # with fewer, pairs show nothing
 _SAMPLED = 400
 _FEWEST_LENGTHS = 200
+_FEWEST_OF_A_NODE = 5
 _ALIKE = 0.02  # lengths within this share of each other are alike
 _APART = 0.15  # and those apart by more are others: along walls insects may be a little slower
 _MOST_LOOKED_THROUGH = 100_000
@@ -38,7 +39,9 @@ class ContactStatistics:
     two walking nodes that last as long as each other, beyond what is usual: on a line all that go against each other do; None where there
     are too few, or times too coarse. ``silences_ns``: times without any contact that are too long for chance. ``grid_ns``: all times are
     whole multiples of it, from the first. ``interval_ns``: median time between encounters of one walking node. ``periods``: into how many
-    periods without a common node the record falls, 1 where components are not parted by time.
+    periods without a common node the record falls, 1 where components are not parted by time. ``apart``: share of the
+    encounters that are not of the largest group of nodes that encounters join. ``overlapping``: share of those that begin while another one
+    of the same pair lasts.
     """
 
     n_nodes: int
@@ -52,6 +55,8 @@ class ContactStatistics:
     grid_ns: int
     interval_ns: float
     periods: int
+    apart: float = 0.0
+    overlapping: float = 0.0
 
 
 def measure_contacts(table: EncounterTable, standing: IntArray) -> ContactStatistics:
@@ -76,6 +81,8 @@ def measure_contacts(table: EncounterTable, standing: IntArray) -> ContactStatis
         grid_ns=grid_ns,
         interval_ns=_interval(table, first, second, walks),
         periods=_periods(table, first, second, n_nodes=len(ids)),
+        apart=_apart(first, second, n_nodes=len(ids)),
+        overlapping=_overlapping(table, first, second),
     )
 
 
@@ -109,6 +116,11 @@ def has_fine_times(statistics: ContactStatistics, *, tick_ns: int) -> bool:
     """Say whether times are told to half the interval between a node's encounters; ``tick_ns``: no finer than this."""
     grid_ns = max(tick_ns, statistics.grid_ns)
     return not (grid_ns > 0 and 2 * grid_ns > statistics.interval_ns)
+
+
+def shows_fineness(statistics: ContactStatistics) -> bool:
+    """Say whether there are encounters enough to see how finely times are told: of a few, any steps have a common measure."""
+    return statistics.encounters_of_walking >= _FEWEST_OF_A_NODE
 
 
 def _unevenness(first: IntArray, second: IntArray, walks: BoolArray) -> float | None:
@@ -190,3 +202,15 @@ def _periods(table: EncounterTable, first: IntArray, second: IntArray, *, n_node
     order = np.argsort(begins, kind="stable")
     # Parts that overlap in time are of one period.
     return 1 + int(np.count_nonzero(begins[order][1:] > np.maximum.accumulate(ends[order])[:-1]))
+
+
+def _apart(first: IntArray, second: IntArray, *, n_nodes: int) -> float:
+    group = label_groups(first, second, n=n_nodes)
+    return 1.0 - float(np.bincount(group[first]).max()) / len(first)
+
+
+def _overlapping(table: EncounterTable, first: IntArray, second: IntArray) -> float:
+    order = np.lexsort((table.t_start_ns, np.maximum(first, second), np.minimum(first, second)))
+    low, high = np.minimum(first, second)[order], np.maximum(first, second)[order]
+    is_same = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
+    return float(np.count_nonzero(is_same & (table.t_start_ns[order][1:] < table.t_end_ns[order][:-1]))) / len(first)

@@ -11,13 +11,12 @@ from mapper.groups import label_groups
 from mapper.record_columns import to_unsigned
 from mapper.report import JsonObject, JsonValue
 from mapper.types import EncounterTable, IntArray, MapResult, ModeSpell
+from mapper.wait_promise import RATE_MINUTES
 
 MAX_MINUTES: Final = 1440
 """The series goes back so far before the newest encounter: a day."""
 _NS_PER_S: Final = 1_000_000_000
 _NS_PER_MIN: Final = 60 * _NS_PER_S
-_RATE_MINUTES: Final = 5
-"""The rate to come is that of so many minutes before the newest encounter."""
 
 
 def describe_coverage(table: EncounterTable, spells: Sequence[ModeSpell], result: MapResult | None, *, minimum: int) -> JsonObject:
@@ -37,7 +36,8 @@ def describe_coverage(table: EncounterTable, spells: Sequence[ModeSpell], result
         day at most; ``rate_per_min`` over the last five; ``biobots`` with id, encounters, their rate, and the last one's end;
         ``giant_share`` of encounters and ``giant_biobots`` in the largest group of biobots that encounters join; ``landmarks`` and those
         ``unmet_landmarks`` that nobody met; ``well_seen_share`` of the map's points; ``data``: whether that is enough, why not, what would
-        help, and in how many seconds it is to be expected at this rate, null where waiting alone does not help or nobody can tell.
+        help, and in how many seconds it is to be expected at this rate, null where waiting alone does not help or nobody can tell; whether
+        anything arrives at all is judged when somebody asks (`mapper.wait_promise`).
     """
     ids, number = np.unique(np.concatenate([table.id1, table.id2]), return_inverse=True)
     first, second = number[: len(table)], number[len(table) :]
@@ -96,7 +96,7 @@ def _last_minutes(table: EncounterTable) -> tuple[int, float]:
     if not len(table):
         return 0, 1.0
     last = int(table.t_start_ns[-1])
-    since = max(last - _RATE_MINUTES * _NS_PER_MIN, int(table.t_start_ns[0]))
+    since = max(last - RATE_MINUTES * _NS_PER_MIN, int(table.t_start_ns[0]))
     n = len(table) - int(np.searchsorted(table.t_start_ns, since, side="left"))
     return n, max(last - since, _NS_PER_S) / _NS_PER_MIN
 
@@ -121,6 +121,7 @@ def _judge(
             "reasons": [f"{counted}; a map needs at least {minimum}"],
             "remedies": ["let the biobots walk"],
             "expected_wait_s": _wait_s(max(minimum, WANTED_ENCOUNTERS * n_biobots // 2) - len(table), rate=rate),
+            "nothing_arrives": None,
         }
     if result.data is None or result.hole_count is None:
         return None
@@ -133,7 +134,13 @@ def _judge(
     lacks_biobots = result.components[0].n_landmarks < WANTED_LANDMARKS or n_biobots - n_standing < WANTED_WALKERS
     helps_to_wait = result.hole_count.is_known and not lacks_biobots
     expected = 0.0 if result.data.is_enough else None if not helps_to_wait else _wait_s(wanted - len(table), rate=rate)
-    return {"is_enough": result.data.is_enough, "reasons": reasons, "remedies": remedies, "expected_wait_s": expected}
+    return {
+        "is_enough": result.data.is_enough,
+        "reasons": reasons,
+        "remedies": remedies,
+        "expected_wait_s": expected,
+        "nothing_arrives": None,
+    }
 
 
 def _wait_s(n_missing: float, *, rate: float) -> float | None:

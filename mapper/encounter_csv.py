@@ -25,6 +25,7 @@ from typing import TypeVar
 import numpy as np
 
 from firmware_protocol.contract.records import Cause, Mode
+from firmware_protocol.own_files import HEAD_BYTES, tell_own_file
 from firmware_protocol.units import NS_PER_S, NodeId
 from mapper.errors import InputFileError
 from mapper.kernels import find_library, read_rows
@@ -144,11 +145,16 @@ def read_bytes(path: Path) -> bytes:
             data = b"" if is_too_long else file.read(-1 if is_regular else MAX_FILE_BYTES + 1)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise InputFileError(path=str(path), faults=[f"cannot be read: {reason}; give the path of a CSV file"]) from error
+        of_run = path / "encounters.csv"
+        wanted = str(of_run) if isinstance(error, IsADirectoryError) and of_run.is_file() else "the path of a CSV file"
+        raise InputFileError(path=str(path), faults=[f"cannot be read: {reason}; give {wanted}"]) from error
     except ValueError as error:
         raise InputFileError(path=repr(str(path)), faults=[f"cannot be read: {error}"]) from error
     if is_too_long or len(data) > MAX_FILE_BYTES:
         raise InputFileError(path=str(path), faults=[f"is longer than {MAX_FILE_BYTES} bytes; split it by time"])
+    own = tell_own_file(data[:HEAD_BYTES])
+    if own is not None and not own.is_table:
+        raise InputFileError(path=str(path), faults=[f"is {own.what}: {own.use}; wanted is a table of contacts"])
     return data
 
 
@@ -224,7 +230,8 @@ def _decode(path: Path, data: bytes) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        reason = f"line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; is this a CSV file?"
+        remedy = "is this a CSV file? If so, save it as UTF-8: iconv -f LATIN1 -t UTF-8"
+        reason = f"line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; {remedy}"
         raise InputFileError(path=str(path), faults=[reason]) from error
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from mapper.assumptions import judge_assumptions
-from mapper.confidence import doubt_movement, doubt_times
-from mapper.contact_statistics import measure_walkers
+from mapper.confidence import doubt_movement, doubt_repeats, doubt_times
+from mapper.contact_statistics import ContactStatistics, measure_walkers
 from mapper.kernels import Kernels
 from mapper.pipeline import compute_map
 from mapper.reading import ProximityLog
@@ -62,13 +62,17 @@ def map_log(
     statistics = measure_walkers(table, still)
     doubts = (*doubt_movement(statistics), *doubt_times(statistics, tick_ns=log.tick_ns))
     result = compute_map(table, still, recipe, kernels=kernels, also_place=also_place, doubts=doubts)
-    warnings = [*log.warnings, *doubt_unit(log.table), *doubt_modes(log.table, spells or ()), *result.warnings]
+    warnings = [*log.warnings, *doubt_unit(log.table), *_repeats(statistics), *doubt_modes(log.table, spells or ()), *result.warnings]
     if absent:
         warnings.append(f"stationary biobots {', '.join(absent)} are in no encounter")
     if standing.source in {StandingSource.COLUMN, StandingSource.FOUND}:
         warnings.append(f"{len(standing.nodes)} nodes are taken to stand still: {standing.reason}")
     result = replace(result, warnings=tuple(warnings), node_names=log.names.text_of, standing=standing)
     return _agreeing(replace(result, assumptions=judge_assumptions(log, result, standing, statistics)))
+
+
+def _repeats(statistics: ContactStatistics) -> tuple[str, ...]:
+    return tuple(f"{doubt.reason}; {doubt.remedy}" for doubt in doubt_repeats(statistics))
 
 
 def _agreeing(result: MapResult) -> MapResult:

@@ -15,6 +15,7 @@ from mapper.map_file import merging_facts, read_map_file, take_map
 from mapper.pipeline import MIN_ENCOUNTERS, compute_map, join_finished_maps
 from mapper.pooling import Recording, count_shared_landmarks, pool_recordings, shift_recording
 from mapper.report import JsonObject, JsonValue, to_json_object
+from mapper.time_doubts import doubt_modes, doubt_unit
 from mapper.types import EncounterTable, MapResult, Method, MetricKind, ModeSpell, Recipe
 from mapper.window import absent_biobots, drop_repeated, stationary_spells
 
@@ -100,16 +101,18 @@ def _read_recordings(args: argparse.Namespace) -> tuple[list[Recording], list[st
         raise ConfigurationError(problems)
     left = iter(modes)
     recordings, n_repeated = [], 0
+    doubts: list[str] = []
     for path, shift_s in zip(inputs, shifts, strict=True):
         table, spells = _read_directory(path) if path.is_dir() else (read_encounters(path), _read_given(next(left, None)))
         if not len(table):
             raise TooFewEncountersError(n_encounters=0, minimum=1, where=str(path))
         table, n = drop_repeated(table)
+        doubts += [f"{path}: {doubt}" for doubt in (*doubt_unit(table, has_flag=False), *doubt_modes(table, spells))]
         n_repeated += n
         recordings.append(shift_recording(Recording(name=str(path), table=table, spells=spells), shift_ns=round(shift_s * NS_PER_S)))
     repeat = "1 row repeats" if n_repeated == 1 else f"{n_repeated} rows repeat"
     warnings = [f"{repeat} another one of the same file, pair and times; each counts once"] if n_repeated else []
-    return recordings, warnings
+    return recordings, [*warnings, *doubts]
 
 
 def _read_directory(path: Path) -> tuple[EncounterTable, tuple[ModeSpell, ...]]:

@@ -152,9 +152,11 @@ def _verdict(meetings: _Meetings, kept: IntArray, agreement: float) -> Stationar
     weight = evidence - (len(kept) - 1.5) * log(max(1.0 - agreement**2, _LEAST_REST))
     is_proven = evidence >= _LEAST_EVIDENCE and agreement >= _LEAST_AGREEMENT
     if not is_proven and not (evidence >= _LESS_EVIDENCE and agreement >= _CLOSE_AGREEMENT and weight >= _LEAST_WEIGHT):
-        reason = (
-            f"{told}, but their distances in the two halves of the record (correlation {agreement:.2f}) do not prove that they stand still"
-        )
+        halves = f"their distances in the two halves of the record (correlation {agreement:.2f})"
+        if agreement >= _LEAST_AGREEMENT:
+            reason = f"{told}, and {halves} fit nodes that stand still; but so few may be so by chance: record for longer"
+        else:
+            reason = f"{told}, but {halves} do not prove that they stand still"
         return StationaryNodes(nodes=(), reason=reason, agreement=agreement, evidence=evidence)
     reason = f"{told}, and they are as far apart in the second half of the record as in the first (correlation {agreement:.2f})"
     return StationaryNodes(nodes=tuple(meetings.ids[kept].tolist()), reason=reason, agreement=agreement, evidence=evidence)

@@ -8,10 +8,9 @@ from typing import Final
 import msgspec
 
 from firmware_protocol.errors import RecordError
+from firmware_protocol.own_files import HEAD_BYTES, STORE, STORE_ID, tell_own_file
 from mapper.errors import StoreError
 
-APPLICATION_ID: Final = 0x42494F42
-"""In the header of every file of ours: "BIOB"."""
 SCHEMA_VERSION: Final = 5
 
 # The steps by which a file comes to each version from the one before; an empty file takes all of them.
@@ -172,10 +171,10 @@ def _prepare(database: sqlite3.Connection, *, path: str) -> None:
     (application_id,) = database.execute("PRAGMA application_id").fetchone()
     (version,) = database.execute("PRAGMA user_version").fetchone()
     (n_tables,) = database.execute("SELECT count(*) FROM sqlite_schema").fetchone()
-    if n_tables == 0 and application_id in {0, APPLICATION_ID}:
-        database.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    if n_tables == 0 and application_id in {0, STORE_ID}:
+        database.execute(f"PRAGMA application_id = {STORE_ID}")
         version = 0
-    elif application_id != APPLICATION_ID:
+    elif application_id != STORE_ID:
         raise _foreign(path)
     elif not 1 <= version <= SCHEMA_VERSION:
         raise _too_new(path, version)
@@ -202,11 +201,14 @@ def _refuse_foreign_file(path: Path) -> None:
         raise StoreError(path=str(path), reason=f"there is no directory {path.parent}", next_step="make it, or name another file")
     try:
         with path.open("rb") as file:
-            header = file.read(100)
+            header = file.read(HEAD_BYTES)
     except FileNotFoundError:
         return
     except OSError as error:
         raise StoreError(path=str(path), reason=f"cannot be read: {error.strerror}", next_step=other) from error
+    own = tell_own_file(header)
+    if own is not None and own is not STORE:
+        raise StoreError(path=str(path), reason=f"is no store but {own.what}: {own.use}", next_step=other)
     if header and not header.startswith(b"SQLite format 3\0"):
         raise StoreError(path=str(path), reason="is not a store of records (no SQLite file)", next_step=other)
     # https://www.sqlite.org/fileformat.html: page size in bytes 16 and 17 (1 means 65,536), application id in bytes 68 to 71. A
@@ -214,7 +216,7 @@ def _refuse_foreign_file(path: Path) -> None:
     page_size = int.from_bytes(header[16:18], "big")
     application_id = int.from_bytes(header[68:72], "big")
     is_young = application_id == 0 and path.stat().st_size <= (page_size if page_size > 1 else 65_536)
-    if header and application_id != APPLICATION_ID and not is_young:
+    if header and application_id != STORE_ID and not is_young:
         raise _foreign(str(path))
 
 

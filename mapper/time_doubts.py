@@ -19,20 +19,24 @@ _NEAR: Final = 0.4
 _FEWEST_INSTANTS: Final = 3
 _LONG_S: Final = 1_000.0
 """Of a median contact of whole numbers: insects pass each other within seconds; somebody's week of meetings has a median of minutes."""
+_FEWEST_WITH_DECIMALS: Final = 10
+"""Contacts; a clock that tells fractions of a second is seldom used for a few meetings of hours, but it may be."""
 _ABSURD_S: Final = 1_000_000.0
 
 
-def doubt_unit(table: EncounterTable) -> tuple[str, ...]:
-    """Say that encounters may be in another unit than seconds: all whole numbers, and long beyond what contacts are."""
+def doubt_unit(table: EncounterTable, *, has_flag: bool = True) -> tuple[str, ...]:
+    """Say that encounters may be in another unit than seconds: whole numbers, or many, and long beyond what contacts are."""
     if not len(table):
         return ()
     median_s = float(np.median(table.t_end_ns - table.t_start_ns)) / NS_PER_S
     is_whole = not ((table.t_start_ns % NS_PER_S).any() or (table.t_end_ns % NS_PER_S).any())
-    if median_s < _LONG_S or not is_whole:
+    if median_s < _LONG_S or not (is_whole or len(table) >= _FEWEST_WITH_DECIMALS):
         return ()
     unit, flag = _UNITS[6 if median_s >= _ABSURD_S else 3]
-    told = f"half of the contacts last {median_s:,.0f} s or more, and all times are whole numbers: are they {unit}?"
-    return (f"{told} If so, give --time-unit {flag}, or write seconds; if not, all is well",)
+    how = "all times are whole numbers" if is_whole else f"begin within {_s(int(np.ptp(table.t_start_ns)))} s"
+    told = f"half of the contacts last {median_s:,.0f} s or more, and {how}: are they {unit}?"
+    remedy = f"give --time-unit {flag}, or write seconds" if has_flag else "write seconds"
+    return (f"{told} If so, {remedy}; if not, all is well",)
 
 
 def doubt_modes(table: EncounterTable, spells: Sequence[ModeSpell]) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from firmware_protocol.errors import ConfigurationError
+from firmware_protocol.nearest_word import CommandParser
 from simulator import motion_flags
 from simulator.arenas import arena_flags
 from simulator.config import RunConfig
@@ -95,7 +96,7 @@ def _dispatch(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
 
 
 def _make_parser(given: Sequence[str]) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="biobot-sim", description="Simulated insects with backpacks: whole runs as files, or live behind a virtual dongle."
     )
     _add_common(parser, is_command=False)

@@ -129,8 +129,11 @@ class Expedition:
         """Encounters since the landmarks were set, those going on included."""
         return self.recorder.count_encounters(zero_s=self.setting.dispersion_s)
 
-    def sense(self, config: SensingConfig) -> SensedRun:
-        """Sense the run that is over by beacons, up to when each backpack fell silent; walls attenuate as they stood at first."""
+    def sense(self, config: SensingConfig, *, progress: Callable[[float], None] | None = None) -> SensedRun:
+        """Sense the run that is over by beacons, up to when each backpack fell silent; walls attenuate as they stood at first.
+
+        ``progress`` is called now and then with the instant up to which beacons were looked at [s].
+        """
         zero_s = self.setting.dispersion_s
         return sense_run(
             self.world,
@@ -140,6 +143,7 @@ class Expedition:
             true=self.recorder.encounters(zero_s=zero_s),
             radio=self.config.radio,
             off_s=self.recorder.silent_from_s,
+            progress=progress,
         )
 
     def files(self, about: Mapping[str, object] | None = None, *, sensed: SensedRun | None = None) -> dict[str, bytes]:

@@ -2,7 +2,6 @@
 
 import contextlib
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
@@ -15,11 +14,11 @@ from simulator.expedition import Expedition
 from simulator.log import EventLog
 from simulator.output import OutputDirectory, write_whole
 from simulator.pictures.watch import Watch
-from simulator.sensed_run import sensing_config
+from simulator.progress import shown_progress
+from simulator.sensed_run import check_work, sensing_config
 
 log = EventLog(__name__)
 
-_BAR_WIDTH = 40
 # So many pauses a run, at least, in which it can be stopped with its snapshot.
 _PAUSES = 200
 
@@ -73,13 +72,16 @@ def resume(snapshot: Path, *, out: str | None, force: bool) -> None:
 
 def _finish(expedition: Expedition, output: OutputDirectory, config: RunConfig, *, snapshot: Path | None = None) -> None:
     sensing = sensing_config(config, expedition.setting) if config.sensing == "beacon" else None
+    if sensing is not None:
+        check_work(sensing, expedition.setting)
     began_s = time.perf_counter()
     place = snapshot or (None if config.snapshot is None else Path(config.snapshot))
     with _shown(expedition, config) as walk:
         _advance_to_the_end(expedition, walk, snapshot=place, every_s=config.snapshot_every_s)
     sensed = None
     if sensing is not None:
-        sensed = expedition.sense(sensing)
+        with shown_progress("sensing.progress", total=expedition.total_s, unit="s sensed") as show:
+            sensed = expedition.sense(sensing, progress=show)
     wall_time_s = round(time.perf_counter() - began_s, 3)
     about = {"program": "biobot-sim run", "version": version("biobot-gateway"), "wall_time_s": wall_time_s}
     output.commit(expedition.files(about, sensed=sensed))
@@ -133,25 +135,12 @@ def _noted_signals() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def _shown(expedition: Expedition, config: RunConfig) -> Iterator[Callable[[float], None]]:
-    """Give what lets time run and shows how far it is: a picture, a bar, or nothing where nobody looks."""
+    """Give what lets time run and shows how far it is: a picture, a bar, or a line of the log now and then."""
     setting, world, recorder = expedition.setting, expedition.world, expedition.recorder
     if config.watch or config.watch_speed is not None:
         title = f"{setting.arena_name}, {setting.preset}, seed {setting.seed}: {setting.biobots} biobots"
         with Watch(world, title=title, zero_s=setting.dispersion_s, end_s=expedition.total_s, n_met=expedition.n_encounters) as watch:
             yield lambda until_s: recorder.record(watch.advance(until_s, speed=config.watch_speed))
-    elif sys.stderr.isatty():
-        show = _show_bar(expedition.total_s)
-        yield lambda until_s: recorder.record_run(world.run(until_s, progress=show))
-        sys.stderr.write("\n")
     else:
-        yield lambda until_s: recorder.record_run(world.run(until_s))
-
-
-def _show_bar(total_s: float) -> Callable[[float], None]:
-    def show(now_s: float) -> None:
-        share = now_s / total_s
-        filled = round(share * _BAR_WIDTH)
-        sys.stderr.write(f"\r[{'#' * filled}{' ' * (_BAR_WIDTH - filled)}] {share:4.0%}  {now_s:.0f} of {total_s:.0f} s")
-        sys.stderr.flush()
-
-    return show
+        with shown_progress("run.progress", total=expedition.total_s, unit="s") as show:
+            yield lambda until_s: recorder.record_run(world.run(until_s, progress=show))

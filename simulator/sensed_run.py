@@ -2,10 +2,12 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from simulator.arenas.arena import Arena
+from simulator.errors import ParameterError
 from simulator.radios.fidelity import Encounter, compare
 from simulator.radios.paths import Paths
 from simulator.radios.radio import choose_radio
@@ -17,6 +19,8 @@ from simulator.world import World
 HEADER = ("node", "peer", "t_start_s", "t_end_s", "mean_rssi_dbm", "n_beacons")
 
 _NS_PER_S = 1_000_000_000
+# About 2 us and 100 bytes each (2026-11-27, a busy core): a minute or two, and some gigabytes.
+_MAX_HEARD = 40_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,6 +65,24 @@ def sensing_config(keys: RadioKeys, setting: Setting, *, loss: float | None = No
     return config
 
 
+def check_work(config: SensingConfig, setting: Setting) -> None:
+    """Refuse, before anybody walks, what would be sensed for hours or fill the memory.
+
+    Raises
+    ------
+    ParameterError
+        All neighbours within the communication radius together hear too many beacons.
+    """
+    near = min(1.0, math.pi * setting.ranges.communication**2 / setting.arena.area)
+    heard = near * setting.biobots**2 * (setting.dispersion_s + setting.duration_s) / config.period_s
+    if heard > _MAX_HEARD:
+        raise ParameterError(
+            name="number of beacons to be heard",
+            got=round(heard),
+            wanted=f"at most {_MAX_HEARD}: take fewer biobots, less time, a longer beacon_period_s or --sensing ideal",
+        )
+
+
 def sense_run(
     world: World,
     *,
@@ -70,6 +92,7 @@ def sense_run(
     true: Sequence[Encounter],
     radio: str,
     off_s: Mapping[int, float] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> SensedRun:
     """Sense a finished run.
 
@@ -85,9 +108,19 @@ def sense_run(
         Name of the radio's preset.
     off_s
         When backpacks fell silent [s of the world], by identity; None: never.
+    progress
+        Called now and then with the instant up to which beacons were looked at [s of the world].
     """
     zero_ns = round(zero_s * _NS_PER_S)
-    sensed = sense(Paths(world.legs(), n=len(world.ids)), ids=world.ids, arena=arena, until_s=world.now_s, config=config, off_s=off_s)
+    sensed = sense(
+        Paths(world.legs(), n=len(world.ids)),
+        ids=world.ids,
+        arena=arena,
+        until_s=world.now_s,
+        config=config,
+        off_s=off_s,
+        progress=progress,
+    )
     encounters = tuple((max(start, zero_s), end, id1, id2) for start, end, id1, id2 in sensed.encounters if end > zero_s)
     observations = [
         replace(one, start_ns=max(one.start_ns, zero_ns) - zero_ns, end_ns=one.end_ns - zero_ns)

@@ -20,6 +20,11 @@ log = EventLog(__name__)
 # Guards against a slip of units, which would run for days or fill the memory.
 _MAX_LEGS = 20_000_000
 _MAX_ENCOUNTERS = 5_000_000
+# Of one insect at another: 90 to 640 ns each (2026-11-27, two busy cores), so a crowd is through in some ten minutes.
+_MAX_LOOKS = 1_000_000_000
+# About one insect in two of the engine's cells (make_cells of engine.c), where these are not as wide as insects reach.
+_PER_CELL = 0.5
+_CELLS_LOOKED_AT = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +81,40 @@ class Setting:
         pairs = among_movers + 2.0 * self.landmarks * movers * walking
         in_sight = max(0.0, 1.0 - radius * float(self.arena.polygon.length) / (math.pi * self.arena.area))
         return motion.speed * self.duration_s * radius * pairs * in_sight / self.arena.area
+
+    @property
+    def extent(self) -> float:
+        """Diagonal of the arena's bounds [length]."""
+        x_min, y_min, x_max, y_max = self.arena.bounds
+        return math.hypot(x_max - x_min, y_max - y_min)
+
+    @property
+    def expected_legs(self) -> float:
+        """Estimate of the legs that end by themselves or at walls, dispersion included; the mean distance between walls is pi A / P."""
+        walls = max(
+            float(one.polygon.length) / (math.pi * one.area) for one in (self.arena, *(change.arena for change in self.arena_changes))
+        )
+        return (1.0 / self.motion.mean_leg + walls) * self.motion.speed * self._total_s * self.biobots
+
+    @property
+    def expected_looks(self) -> float:
+        """Estimate of the engine's work: how often it looks what a new leg means for one of those around.
+
+        A leg ends by itself, at a wall, or for two at once where they touch and turn (kinetic gas, as in ``expected_encounters``, all
+        walking). At its end all are looked at who are in the nine cells around: in a crowd, everybody.
+        """
+        motion, area = self.motion, self.arena.area
+        touches = (
+            4.0 / math.pi * motion.speed * self._total_s * motion.contact_radius * self.biobots**2 / area if motion.contact_turns else 0.0
+        )
+        cell_area = max(self.ranges.detection**2, motion.contact_radius**2, _PER_CELL * area / self.biobots)
+        around = self.biobots * min(1.0, _CELLS_LOOKED_AT * cell_area / area)
+        placed = 2.0 * self.biobots * (1 + len(self.arena_changes))  # once for who is near, once for what is to come
+        return (self.expected_legs + 2.0 * touches + placed) * around
+
+    @property
+    def _total_s(self) -> float:
+        return self.dispersion_s + self.duration_s
 
     def describe(self) -> dict[str, object]:
         """List the setting for a file of parameters; lengths are in ``unit_of_length``."""
@@ -215,9 +254,14 @@ def _check_extent(setting: Setting) -> None:
             got=setting.ranges.detection,
             wanted=f"at least {1e3 * arena.margin:g} {unit} in an arena of this extent; are arena and preset in the same unit of length?",
         )
-    # Mean distance between walls is pi A / P for straight isotropic paths.
-    walls = max(float(one.polygon.length) / (math.pi * one.area) for one in (arena, *(change.arena for change in setting.arena_changes)))
-    legs = (1.0 / setting.motion.mean_leg + walls) * setting.motion.speed * (setting.dispersion_s + setting.duration_s) * setting.biobots
+    if setting.ranges.detection >= setting.extent:
+        raise ParameterError(
+            name="detection radius",
+            got=setting.ranges.detection,
+            wanted=f"less than {setting.extent:g} {unit}, the arena from corner to corner, or all meet all the time; are "
+            "arena and preset in the same unit of length? Give --arena-scale, another --preset, or a smaller detection_radius",
+        )
+    legs = setting.expected_legs
     if legs > _MAX_LEGS:
         raise ParameterError(
             name="number of legs to walk",
@@ -229,4 +273,11 @@ def _check_extent(setting: Setting) -> None:
             name="number of encounters to expect",
             got=round(setting.expected_encounters),
             wanted=f"at most {_MAX_ENCOUNTERS}: take fewer biobots, less time, a smaller radius or a larger arena",
+        )
+    if setting.expected_looks > _MAX_LOOKS:
+        raise ParameterError(
+            name="number of looks of biobots at each other",
+            got=round(setting.expected_looks),
+            wanted=f"at most {_MAX_LOOKS}, which take minutes, and here on {arena.area:g} square {unit} each is near many; "
+            "take fewer biobots, less time, a smaller radius or a larger arena",
         )

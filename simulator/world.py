@@ -24,8 +24,8 @@ from simulator.recipe import engine_config, motion_under_command
 from simulator.snapshot import WorldParts, pack, unpack
 from simulator.telling import CAUSES, MODES, tell_events, tell_open, tell_run
 
-# Steps of the engine between two reports of progress, about a tenth of a second's work.
-_STEPS_AT_ONCE = 200_000
+# Work of the engine between two reports of progress, about a tenth of a second.
+_WORK_AT_ONCE = 500_000
 _FIRST_WINDOW_S = 1.0
 
 
@@ -355,15 +355,15 @@ class World:
             raise TimeError(got_s=until_s, wanted=f"a finite time not before the present, {self._now_s!r} s")
         while self._now_s < until_s:
             end_s = min(until_s, self._now_s + self._window_s)
-            if end_s <= self._now_s:  # the window is shorter than a unit in the last place of the time
-                end_s = until_s
-            steps = self._engine.n_steps
+            end_s = until_s if end_s <= self._now_s else end_s  # the window may be shorter than a unit in the last place of the time
+            work = self._engine.work
             while not self._engine.advance(end_s):
                 self._past.add(self._engine.take_legs())
                 yield self._engine.take_events()
-            steps = self._engine.n_steps - steps
-            if steps > _STEPS_AT_ONCE or end_s < until_s:
-                self._window_s *= min(4.0, max(0.25, _STEPS_AT_ONCE / max(1, steps)))
+                if progress is not None:
+                    progress(self._engine.now_s)
+            if (work := self._engine.work - work) > _WORK_AT_ONCE or end_s < until_s:
+                self._window_s *= min(4.0, max(0.25, _WORK_AT_ONCE / max(1, work)))
             self._now_s = end_s
             self._past.add(self._engine.take_legs())
             yield self._engine.take_events()

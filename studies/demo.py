@@ -81,6 +81,8 @@ def _run(system: RunningSystem, *, keep_open: bool) -> int:
     settings = system.settings
     print(f"live page  {system.url}")
     print(f"to command sign in there with {system.token}")
+    print(f"for others {_shown('biobot-mapper')} tokens add NAME --role operator --tokens {_relative(system.tokens)}")
+    print(f"terminal   {_shown('biobot-gateway')} status --connect {system.bus_endpoint}")
     print(f"insects    {settings.n_biobots} in {settings.scenario}, {settings.speed:g} times faster than life, seed {settings.seed}")
     _follow(system)
     document, records = _settle(system)
@@ -96,6 +98,14 @@ def _run(system: RunningSystem, *, keep_open: bool) -> int:
         print(f"The page stays open: {system.url}   (Ctrl-C ends)")
         _wait_for_interrupt(system)
     return 0 if is_right else 1
+
+
+def _shown(program: str) -> str:
+    return str(_relative(Path(sys.executable).parent / program))
+
+
+def _relative(path: Path) -> Path:
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def _follow(system: RunningSystem) -> None:

@@ -83,6 +83,11 @@ class RunningSystem:
         """Where the simulator writes the truth when it ends."""
         return self.settings.out / "truth"
 
+    @property
+    def tokens(self) -> Path:
+        """The file of tokens that the mapper heeds."""
+        return self.settings.out / "tokens.json"
+
     def start_process(self, name: str, arguments: Sequence[str]) -> subprocess.Popen[bytes]:
         """Start ``python -m ...`` with its output in ``{name}.log`` and remember it under ``name``."""
         log = (self.settings.out / f"{name}.log").open("ab")
@@ -179,7 +184,7 @@ class RunningSystem:
     def start_mapper(self) -> None:
         """Start the mapper, for the first time or again, and wait until it serves."""
         settings = self.settings
-        url_file, tokens = settings.out / "mapper.url", settings.out / "tokens.json"
+        url_file, tokens = settings.out / "mapper.url", self.tokens
         url_file.unlink(missing_ok=True)
         if not self.token:
             self.token = add_token(tokens, name=OPERATOR, role=Role.OPERATOR).text

@@ -1,16 +1,21 @@
 """``biobot-gateway certs``: a private authority, and certificates for the services of a site."""
 
 import argparse
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 from firmware_protocol.contract.access import Identity, Role, parse_identity
 from firmware_protocol.contract.keys import ANY
-from gateway.commands.outcome import DONE, FAILED
+from gateway.commands.outcome import DONE, FAILED, complain, warn
+from gateway.obstacles import PLACEHOLDER
 from gateway.tls_files import EXPIRES_SOON_DAYS
 
 _CA_DAYS = 3650
 _DAYS = 398
+_ROUTERS = f"/{Role.ROUTER.value}/"
+_SITE = "local"
+"""What configurations have by default, too."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     issue.add_argument("name", help="the service's own name, as in its configuration; an operator's or viewer's for people")
     issue.add_argument("--site", help="its site (default: local; for a router: all sites)")
     issue.add_argument("--all-sites", action="store_true", help="welcome at all sites")
-    issue.add_argument("--host", action="append", metavar="HOST", default=[], help="name or address that others connect to; repeatable")
+    issue.add_argument(
+        "--host",
+        action="append",
+        metavar="HOST",
+        default=[],
+        help="name or address that others connect to, which a router needs; repeatable",
+    )
     issue.add_argument("--days", type=int, default=_DAYS, metavar="N", help=f"how long it lasts (default: {_DAYS})")
     issue.add_argument("--renew", action="store_true", help="replace the one there is, which is kept as .old")
 
@@ -43,10 +54,13 @@ def certs(options: argparse.Namespace) -> int:
         print(f"authority in {options.directory}; next: biobot-gateway certs issue {options.directory} router main --host ADDRESS")
         return DONE
     if options.action == "issue":
-        identity = _identity(options)
         authority = certificates.Authority.open(options.directory)
+        identity = _identity(options, sites=authority.sites())
         folder = authority.issue(identity, hosts=options.host, days=options.days, now=now, renew=options.renew)
-        print(paste(identity, folder=folder.resolve(), roster=(options.directory / "roster.txt").resolve()))
+        known = certificates.list_certificates(options.directory, now=now)
+        reached = [host for one in known if _ROUTERS in one.identity for host in one.hosts if "*" not in host]
+        router = f"tls/{_bracketed(reached[0]) if reached else PLACEHOLDER}:7447"
+        print(paste(identity, folder=folder.resolve(), roster=(options.directory / "roster.txt").resolve(), router=router))
         return DONE
     found = certificates.list_certificates(options.directory, now=now)
     is_fit = True
@@ -61,18 +75,18 @@ def certs(options: argparse.Namespace) -> int:
     return FAILED if options.action == "check" and not is_fit else DONE
 
 
-def paste(identity: Identity, *, folder: Path, roster: Path) -> str:
-    """Return the configuration of a service that shows this certificate."""
+def paste(identity: Identity, *, folder: Path, roster: Path, router: str) -> str:
+    """Return the configuration of a service that shows this certificate and connects to a router."""
     lines = [f"# for {identity.common_name}; copy {folder} to its machine, or its paths into these lines"]
     if identity.role is Role.ROUTER:
         lines += ['listen = ["tls/0.0.0.0:7447"]', f"roster = {_quoted(roster)}"]
     elif identity.role is Role.GATEWAY:
-        lines += [f'site = "{identity.site}"', f'name = "{identity.name}"', "listen = []", 'connect = ["tls/ROUTER:7447"]']
+        lines += [f'site = "{identity.site}"', f'name = "{identity.name}"', "listen = []", f'connect = ["{router}"]']
     elif identity.role is Role.MAPPER:
-        lines += ["[serve]", f'site = "{identity.site}"', f'name = "{identity.name}"', 'connect = ["tls/ROUTER:7447"]']
+        lines += ["[serve]", f'site = "{identity.site}"', f'name = "{identity.name}"', f'connect = ["{router}"]']
     else:
         site = [] if identity.site == ANY else [f'site = "{identity.site}"']
-        lines += ["# biobot-gateway command|status --config FILE, with these lines in FILE", *site, 'connect = ["tls/ROUTER:7447"]']
+        lines += ["# biobot-gateway command|status --config FILE, with these lines in FILE", *site, f'connect = ["{router}"]']
     lines += ["[tls]"]
     lines += [
         f"{key} = {_quoted(folder / name)}" for key, name in (("ca", "ca.pem"), ("certificate", "certificate.pem"), ("key", "key.pem"))
@@ -80,10 +94,21 @@ def paste(identity: Identity, *, folder: Path, roster: Path) -> str:
     return "\n".join(lines)
 
 
-def _identity(options: argparse.Namespace) -> Identity:
-    is_everywhere = options.all_sites or (options.role == Role.ROUTER.value and options.site is None)
-    site = ANY if is_everywhere else options.site or "local"
-    return parse_identity(f"{site}/{options.role}/{options.name}")
+def _identity(options: argparse.Namespace, *, sites: Sequence[str]) -> Identity:
+    """Return whom the certificate is to name; ``sites``: those that others of this authority are of."""
+    name = f"{options.role}/{options.name}"
+    if options.all_sites or (options.role == Role.ROUTER.value and options.site is None):
+        return parse_identity(f"{ANY}/{name}")
+    if options.site is not None:
+        return parse_identity(f"{options.site}/{name}")
+    complain(f"no --site: it is for site {_SITE}, which services are of where their configuration names none")
+    if sites and _SITE not in sites:
+        warn([f"the others of this authority are of site {' or '.join(sites)}, and do not hear it: --site {sites[0]} if it belongs there"])
+    return parse_identity(f"{_SITE}/{name}")
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
 
 
 def _quoted(path: Path) -> str:

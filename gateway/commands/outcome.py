@@ -2,7 +2,7 @@
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 DONE, FAILED, USAGE = 0, 1, 2
 
@@ -12,6 +12,11 @@ def complain(*lines: str, status: int = DONE) -> int:
     for line in lines:
         print(f"biobot-gateway: {line}", file=sys.stderr)
     return status
+
+
+def warn(lines: Iterable[str]) -> None:
+    """Write each line to stderr as a warning."""
+    complain(*(f"warning: {line}" for line in lines))
 
 
 @contextlib.contextmanager

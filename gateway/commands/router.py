@@ -6,9 +6,10 @@ import os
 
 import msgspec
 
-from gateway.commands.outcome import DONE
+from gateway.commands.outcome import DONE, warn
 from gateway.commands.run import add_config
 from gateway.log import set_up_logging
+from gateway.obstacles import connecting_obstacles, listening_obstacles
 from gateway.router_config import ENVIRONMENT_PREFIX, load_router_config
 
 
@@ -44,6 +45,7 @@ def router(options: argparse.Namespace) -> int:
         },
     )
     if options.check_config:
+        warn([*listening_obstacles(config.listen), *connecting_obstacles(config.connect)])
         print(json.dumps(msgspec.to_builtins(config), indent=2))
         return DONE
     from gateway.router import ping_router, run_router  # noqa: PLC0415  # Zenoh loads 33 MB, which --help and --check-config do not need

@@ -9,10 +9,12 @@ from pathlib import Path
 import msgspec
 
 from firmware_protocol.errors import ConfigurationError
-from gateway.commands.outcome import DONE, FAILED
+from gateway.commands.outcome import DONE, FAILED, warn
+from gateway.config import GatewayConfig
 from gateway.config_loading import ENVIRONMENT_PREFIX, load_gateway_config
 from gateway.errors import GatewayError
 from gateway.log import EventLog, describe, set_up_logging
+from gateway.obstacles import gateway_obstacles
 
 _log = EventLog(__name__)
 
@@ -29,7 +31,7 @@ def add_config(parser: argparse.ArgumentParser, *, default: object, prefix: str 
     """Add ``--config`` and ``--check-config``, which may stand before the command and after it; ``prefix`` is that of its variables."""
     help_text = f"TOML file; {prefix}__... variables and flags win over it"
     parser.add_argument("--config", type=Path, metavar="FILE", default=default, help=help_text)
-    help_text = "print the configuration that would be used, and leave"
+    help_text = "print the configuration that would be used, and what would be in its way now, and leave"
     parser.add_argument("--check-config", action="store_true", default=default or False, help=help_text)
 
 
@@ -65,6 +67,11 @@ def check_alone(options: argparse.Namespace) -> int:
     if not options.check_config:
         raise ConfigurationError(["no command: give run, list-ports, probe or another; biobot-gateway --help lists all"])
     config = load_gateway_config(toml_path=options.config, environment=os.environ, needs_radio=False, tries_places=True)
+    return _show(config)
+
+
+def _show(config: GatewayConfig) -> int:
+    warn(gateway_obstacles(config))
     print(json.dumps(msgspec.to_builtins(config), indent=2))
     return DONE
 
@@ -96,8 +103,7 @@ def run(options: argparse.Namespace) -> int:
         tries_places=options.check_config,
     )
     if options.check_config:
-        print(json.dumps(msgspec.to_builtins(config), indent=2))
-        return DONE
+        return _show(config)
     set_up_logging(level=config.log_level, log_format=config.log_format)
     try:
         from gateway.service import run_gateway  # noqa: PLC0415  # Zenoh loads 33 MB, which --help and --check-config do not need

@@ -11,8 +11,9 @@ from gateway.installation.changes import describe
 from gateway.installation.checks import warn_of_missing
 from gateway.installation.install import install, install_below
 from gateway.installation.layout import CONFIGURATION, DATA, Wishes, choose_services
-from gateway.installation.plan import plan_installation, plan_removal
+from gateway.installation.plan import Plan, plan_installation, plan_removal
 from gateway.installation.record import read_record
+from gateway.installation.rehearsal import rehearse
 from gateway.installation.remove import remove, remove_below
 
 _SERVICES = "gateway,mapper"
@@ -47,16 +48,24 @@ def install_service(options: argparse.Namespace) -> int:
         name=options.name,
     )
     ours = version("biobot-gateway")
-    if options.dry_run or options.root is not None:
+    if options.root is not None:
         complain(*warn_of_missing(_root(options), wishes.programs, services=wishes.services))
     if options.dry_run:
         plan = plan_installation(_root(options), wishes, record=read_record(_root(options)), version=ours)
         _print_all([*map(describe, plan.changes), *plan.notes])
-    elif options.root is not None:
+        return DONE if options.root is not None else _rehearse(plan)
+    if options.root is not None:
         _print_all(install_below(options.root, wishes, version=ours).notes)
     else:
         install(wishes, version=ours, starts=not options.no_start, tell=_tell)
     return DONE
+
+
+def _rehearse(plan: Plan) -> int:
+    """Say what the installation would be refused for, and what would keep services from being started."""
+    found = rehearse(plan)
+    _print_all(found.notes)
+    return complain(*(f"would be refused: {refusal}" for refusal in found.refusals), status=FAILED if found.refusals else DONE)
 
 
 def uninstall_service(options: argparse.Namespace) -> int:

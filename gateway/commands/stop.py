@@ -25,8 +25,8 @@ _MAX_NAME: Final = 64
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``stop``."""
-    parser.add_argument("nodes", type=int, nargs="*", metavar="NODE", help="numbers of the biobots")
-    parser.add_argument("--all", action="store_true", help="every biobot that the gateways reach")
+    parser.add_argument("nodes", type=_node, nargs="*", metavar="NODE", help="numbers of the biobots")
+    parser.add_argument("--all", action="store_true", help="every biobot that the gateways reach, whoever else is named; also: stop all")
     add_bus_arguments(parser, gateway_help="only through this one (default: through all of the site)")
     parser.add_argument("--operator", default=os.environ.get("USER") or "operator", help="who commands; it is journaled")
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each stage, as when stdout is no terminal")
@@ -36,6 +36,7 @@ def stop(options: argparse.Namespace) -> int:
     """Stop biobots and print each stage; the exit status is 0 only where all is confirmed."""
     from gateway.bus_stop import stop_everywhere  # noqa: PLC0415  # Zenoh loads 33 MB, which --help does not need
 
+    options.all = options.all or None in options.nodes
     requests = {request.command_id: request for request in _requests(options)}
     way = way_of(options, roles=(Role.OPERATOR, Role.MAPPER))
     ends: dict[str, list[CommandStage]] = {command_id: [] for command_id in requests}
@@ -68,11 +69,22 @@ def line_of(stage: CommandStage) -> str:
     return f"{stage.gateway:<16} {who:<14} {stage.action.value:<10} {stage.stage.value}{reason}"
 
 
+def _node(text: str) -> int | None:
+    """Return a biobot's number, or None for all of them."""
+    if text == "all":
+        return None
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no biobot's number; give numbers, or --all for every biobot") from None
+
+
 def _requests(options: argparse.Namespace) -> list[StimulationRequest]:
-    problems = []
-    if bool(options.nodes) == options.all:
-        problems.append("stop: give numbers of biobots, or --all, and not both; biobot-gateway stop --help tells more")
-    problems += [f"stop: NODE is {node}, but a biobot's number is 0 to {_MAX_NODE}" for node in options.nodes if not 0 <= node <= _MAX_NODE]
+    # Who names some and all wants all: no stop is refused because too much was asked.
+    nodes = [] if options.all else options.nodes
+    problems = [f"stop: NODE is {node}, but a biobot's number is 0 to {_MAX_NODE}" for node in nodes if not 0 <= node <= _MAX_NODE]
+    if not nodes and not options.all:
+        problems.append("stop: give numbers of biobots, or --all; biobot-gateway stop --help tells more")
     if problems:
         raise ConfigurationError(problems)
     action = StimulationAction.STOP_ALL if options.all else StimulationAction.STOP
@@ -84,7 +96,7 @@ def _requests(options: argparse.Namespace) -> list[StimulationRequest]:
             operator=options.operator[:_MAX_NAME] or "unknown",
             issued_wall_ns=Nanoseconds(time.time_ns()),
         )
-        for node in (dict.fromkeys(options.nodes) or [EVERYBODY])
+        for node in (dict.fromkeys(nodes) or [EVERYBODY])
     ]
 
 

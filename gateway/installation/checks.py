@@ -1,18 +1,17 @@
 """What must hold before anything is changed: programs that the services' user may run, room on the disk, ports that are free."""
 
 import contextlib
-import errno
 import os
 import shutil
-import socket
 import stat
 import subprocess
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 from gateway.errors import InstallationError
 from gateway.installation.layout import CONFIGURATION, DATA, SERVICES, UNITS
+from gateway.obstacles import why_taken
 
 MIN_FREE_BYTES = 64 * 1024 * 1024
 """For units and configurations a hundredth would do; a journal needs some from its first minute on."""
@@ -80,12 +79,22 @@ def check_room(root: Path) -> None:
             raise InstallationError(what=str(path), reason=limit, next_step="make room")
 
 
-def check_addresses(services: Sequence[str], *, running: Sequence[str]) -> list[str]:
+def read_configuration(name: str) -> bytes:
+    """Return what stands in a service's configuration; nothing where it is not there or cannot be read."""
+    try:
+        return Path(SERVICES[name].configuration).read_bytes()
+    except OSError:
+        return b""
+
+
+def check_addresses(
+    services: Sequence[str], *, running: Sequence[str], configuration_of: Callable[[str], bytes] = read_configuration
+) -> list[str]:
     """Return what stands in the way of the services' ports: two that want the same, or another program that has it."""
     problems = []
     wanted: dict[tuple[str, int], str] = {}
     for name in services:
-        for address in _addresses(name):
+        for address in _addresses(name, configuration_of(name)):
             host, port = address
             other = wanted.setdefault(address, name)
             if other != name:
@@ -93,16 +102,16 @@ def check_addresses(services: Sequence[str], *, running: Sequence[str]) -> list[
                     f"{other} and {name} both listen on {host}:{port}; beside a router, gateway.toml has "
                     f'listen = [] and connect = ["tcp/127.0.0.1:{port}"], as in gateway.toml.new'
                 )
-            elif name not in running and (reason := _why_taken(host, port)):
+            elif name not in running and (reason := why_taken(host, port)):
                 problems.append(f"{name} is to listen on {host}:{port}: {reason}; end what listens there (ss -ltnp), or change {name}.toml")
     return problems
 
 
-def _addresses(name: str) -> Iterator[tuple[str, int]]:
+def _addresses(name: str, configuration: bytes) -> Iterator[tuple[str, int]]:
     """Yield host and port of all that a service's configuration listens on; one that cannot be read is told by its own program."""
     written: dict[str, object] = {}
-    with contextlib.suppress(OSError, ValueError):
-        written = tomllib.loads(Path(SERVICES[name].configuration).read_text(encoding="utf-8"))
+    with contextlib.suppress(ValueError):
+        written = tomllib.loads(configuration.decode())
     keys = _LISTENS[name] | written
     listen, serve, monitor = keys.get("listen"), keys.get("serve"), keys.get("monitor")
     texts = [str(endpoint).partition("/")[2] for endpoint in listen] if isinstance(listen, list) and name != "mapper" else []
@@ -115,14 +124,3 @@ def _addresses(name: str) -> Iterator[tuple[str, int]]:
         host, _, port = text.rpartition(":")
         if port.isascii() and port.isdigit() and 0 < int(port) < 65536:
             yield host.strip("[]"), int(port)
-
-
-def _why_taken(host: str, port: int) -> str:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        with socket.socket(family, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((host, port))
-    except OSError as error:
-        return "another program has it" if error.errno == errno.EADDRINUSE else (error.strerror or str(error)).lower()
-    return ""

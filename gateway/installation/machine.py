@@ -40,7 +40,7 @@ class Machine:
 
     def make_user(self) -> None:
         """Make the services' user and its groups, where they are not there."""
-        self._run("systemd-sysusers", str(SYSUSERS))
+        _run("systemd-sysusers", str(SYSUSERS))
 
     def make_data_folders(self, services: Sequence[Service]) -> None:
         """Make the services' folders; systemd makes them too, at the first start."""
@@ -66,7 +66,7 @@ class Machine:
 
     def read_units(self) -> None:
         """Have systemd read the units again."""
-        self._run("systemctl", "daemon-reload")
+        _run("systemctl", "daemon-reload")
 
     def read_rules(self) -> None:
         """Have udev read its rules again and name the dongles that are plugged in; where no udev runs, it does so when it starts."""
@@ -75,16 +75,15 @@ class Machine:
 
     def running(self) -> tuple[str, ...]:
         """Return the services that run or are being started, in the order in which they are started."""
-        states = {name: self.show(service, "ActiveState") for name, service in SERVICES.items()}
-        return tuple(name for name, state in states.items() if state in {"active", "activating", "reloading"})
+        return running_services()
 
     def show(self, service: Service, key: str) -> str:
         """Return a property of a unit."""
-        return self._run("systemctl", "show", f"--property={key}", "--value", service.unit).strip()
+        return _show(service, key)
 
     def stop(self, service: Service) -> None:
         """Stop a service, and have systemd forget that it ever failed."""
-        self._run("systemctl", "stop", service.unit)
+        _run("systemctl", "stop", service.unit)
         subprocess.run(("systemctl", "reset-failed", service.unit), check=False, capture_output=True)
 
     def start(self, service: Service) -> bool:
@@ -99,24 +98,49 @@ class Machine:
 
     def problems_of(self, service: Service, *, programs: Path) -> list[str]:
         """Return what a service's program finds wrong with its configuration, asked as the service's user in the service's folder."""
-        command = (str(programs / "bin" / service.program), *service.check, "--config", str(service.configuration), "--check-config")
-        groups = [group.gr_gid for group in grp.getgrall() if USER in group.gr_mem]
-        done = subprocess.run(
-            command,
-            check=False,
-            capture_output=True,
-            text=True,
-            user=USER,
-            group=USER,
-            extra_groups=groups,
-            cwd=service.data,
-            env={"PATH": os.environ.get("PATH", os.defpath), "MPLCONFIGDIR": "/nonexistent"},
-        )
-        return [] if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"{command[0]} returned {done.returncode}"])
+        return problems_of(service, programs=programs, configuration=Path(service.configuration), folder=Path(service.data), user=USER)
 
-    def _run(self, *command: str) -> str:
-        done = subprocess.run(command, check=False, capture_output=True, text=True)
-        if done.returncode != 0:
-            reason = (done.stderr or done.stdout).strip() or f"returned {done.returncode}"
-            raise InstallationError(what=" ".join(command), reason=reason, next_step="correct that, and run it again")
-        return done.stdout
+
+def running_services() -> tuple[str, ...]:
+    """Return the services that run or are being started, in the order in which they are started; none where no systemd runs."""
+    if shutil.which("systemctl") is None or not _BOOTED.is_dir():
+        return ()
+    states = {name: _show(service, "ActiveState") for name, service in SERVICES.items()}
+    return tuple(name for name, state in states.items() if state in {"active", "activating", "reloading"})
+
+
+def has_user() -> bool:
+    """Return whether the services' user is there already."""
+    try:
+        return bool(pwd.getpwnam(USER))
+    except KeyError:
+        return False
+
+
+def problems_of(service: Service, *, programs: Path, configuration: Path, folder: Path, user: str | None) -> list[str]:
+    """Return what a service's program finds wrong with a configuration, asked in a folder; ``user`` None: as whoever asks."""
+    command = (str(programs / "bin" / service.program), *service.check, "--config", str(configuration), "--check-config")
+    done = subprocess.run(
+        command,
+        check=False,
+        capture_output=True,
+        text=True,
+        user=user,
+        group=user,
+        extra_groups=None if user is None else [group.gr_gid for group in grp.getgrall() if user in group.gr_mem],
+        cwd=folder,
+        env={"PATH": os.environ.get("PATH", os.defpath), "MPLCONFIGDIR": "/nonexistent"},
+    )
+    return [] if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"{command[0]} returned {done.returncode}"])
+
+
+def _show(service: Service, key: str) -> str:
+    return _run("systemctl", "show", f"--property={key}", "--value", service.unit).strip()
+
+
+def _run(*command: str) -> str:
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    if done.returncode != 0:
+        reason = (done.stderr or done.stdout).strip() or f"returned {done.returncode}"
+        raise InstallationError(what=" ".join(command), reason=reason, next_step="correct that, and run it again")
+    return done.stdout

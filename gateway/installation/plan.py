@@ -55,6 +55,11 @@ class Plan:
             reason = f"cannot be read: {(error.strerror or str(error)).lower()}"
             raise InstallationError(what=str(path), reason=reason, next_step="move it away, or look at its rights") from error
 
+    def outcome(self, path: PurePosixPath) -> bytes | None:
+        """Return what a file holds once the changes are made; None: there is none."""
+        written = [change.content for change in self.changes if isinstance(change, WriteFile) and change.path == path]
+        return written[-1] if written else self.content(path)
+
 
 def plan_installation(root: Path, wishes: Wishes, *, record: Record | None, version: str) -> Plan:
     """Say what installs these services beside those that are installed already, or upgrades them."""

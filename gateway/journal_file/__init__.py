@@ -12,7 +12,7 @@ from gateway.journal_file.audit_reading import (
 )
 from gateway.journal_file.audit_verify import AuditFindings
 from gateway.journal_file.description import describe_journal, expect_fit_to_open, expect_journal
-from gateway.journal_file.file import PROGRESS, SESSIONS_PER_START, JournalFile, open_journal_file
+from gateway.journal_file.file import PROGRESS, SESSIONS_PER_START, JournalFile, is_in_use, open_journal_file
 from gateway.journal_file.integrity import check_journal
 from gateway.journal_file.reader import JournalReader, RecordPage
 from gateway.journal_file.schema import AFTER_DAMAGE
@@ -49,6 +49,7 @@ __all__ = [
     "describe_journal",
     "expect_fit_to_open",
     "expect_journal",
+    "is_in_use",
     "newest_offset",
     "open_journal_file",
     "read_audit_kinds",

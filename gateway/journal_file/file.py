@@ -221,6 +221,23 @@ def open_journal_file(
         raise
 
 
+def is_in_use(path: Path) -> bool:
+    """Return whether a gateway has a journal open now; nothing is made. Where that cannot be seen, it is not known to be."""
+    try:
+        with _lock_of(path).open("rb") as lock:
+            # Shared, for a moment: two who look at once are not in each other's way.
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def _lock_of(path: Path) -> Path:
+    return path.with_name(path.name + ".lock")
+
+
 def _connect(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=5.0)
     connection.execute("PRAGMA locking_mode = NORMAL")
@@ -231,7 +248,7 @@ def _take_lock(path: Path) -> IO[bytes]:
     # A lock on the database file itself would be dropped by SQLite's own opening and closing of it: POSIX locks are a process's.
     if path.is_dir():
         raise JournalUnfitError(path=str(path), reason="is a directory", advice="give the name of a file")
-    lock_path = path.with_name(path.name + ".lock")
+    lock_path = _lock_of(path)
     try:
         lock = lock_path.open("ab")
     except OSError as error:

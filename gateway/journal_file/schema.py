@@ -9,11 +9,9 @@ import secrets
 import sqlite3
 from pathlib import Path
 
+from firmware_protocol.own_files import HEAD_BYTES, JOURNAL, JOURNAL_ID, tell_own_file
 from gateway.errors import JournalUnfitError
 from gateway.journal_file.audit_chain import genesis
-
-APPLICATION_ID = 0x42494F47
-"""In SQLite's header, "BIOG": this file is a gateway's journal."""
 
 SCHEMA_VERSION = 4
 FIRST_SCHEMA_VERSION = 1
@@ -98,6 +96,7 @@ AFTER_DAMAGE = (
 _APPLICATION_ID_AT = 68
 """Where SQLite's header has it."""
 
+_NAME_THE_JOURNAL = "name the file that the gateway writes (--journal)"
 _NO_SPACE_ADVICE = "free some space or choose another file with --journal"
 
 
@@ -112,7 +111,7 @@ def make_tables(connection: sqlite3.Connection, *, journal: str | None = None) -
     name = journal or secrets.token_hex(4)
     names = (name, name, genesis(name).text())
     connection.execute("INSERT INTO meta VALUES ('journal', ?), ('boot', '0'), ('audit_genesis', ?), ('audit_head', ?)", names)
-    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA application_id = {JOURNAL_ID}")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("COMMIT")
 
@@ -154,8 +153,8 @@ def schema_version_of(connection: sqlite3.Connection, *, path: Path) -> int:
     version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     if not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
         return 0
-    if application_id != APPLICATION_ID:
-        raise JournalUnfitError(path=str(path), reason="is a database of another program", advice="choose another file with --journal")
+    if application_id != JOURNAL_ID:
+        raise foreign(path, "is a database of another program")
     if not FIRST_SCHEMA_VERSION <= version <= SCHEMA_VERSION:
         reason = f"has schema version {version}, but this program knows {FIRST_SCHEMA_VERSION} to {SCHEMA_VERSION}"
         raise JournalUnfitError(
@@ -190,15 +189,28 @@ def unfit(path: Path, error: sqlite3.DatabaseError) -> JournalUnfitError:
     if "malformed" in text or ("not a database" in text and _begins_as_journal(path)):
         return JournalUnfitError(path=str(path), reason=f"is damaged ({text})", advice=AFTER_DAMAGE)
     if "not a database" in text:
-        return JournalUnfitError(path=str(path), reason=f"is no journal ({text})", advice="choose another file with --journal")
+        return foreign(path, f"is no journal ({text})")
     if "readonly" in text or "unable to open" in text:
         return JournalUnfitError(path=str(path), reason=f"cannot be written ({text})", advice="make it writable or choose another file")
     return JournalUnfitError(path=str(path), reason=text, advice=_NO_SPACE_ADVICE)
 
 
+def foreign(path: Path, reason: str) -> JournalUnfitError:
+    """Say that a file is no journal, and what it is where it is another one of ours."""
+    own = tell_own_file(_head_of(path))
+    if own is not None and own is not JOURNAL:
+        return JournalUnfitError(path=str(path), reason=f"is no journal but {own.what}: {own.use}", advice=_NAME_THE_JOURNAL)
+    return JournalUnfitError(path=str(path), reason=reason, advice=_NAME_THE_JOURNAL)
+
+
 def _begins_as_journal(path: Path) -> bool:
+    # What is overwritten at its front is a journal all the same, by the id that stands behind.
+    return _head_of(path)[_APPLICATION_ID_AT : _APPLICATION_ID_AT + 4] == JOURNAL_ID.to_bytes(4, "big")
+
+
+def _head_of(path: Path) -> bytes:
     try:
         with path.open("rb") as stream:
-            return stream.read(_APPLICATION_ID_AT + 4)[_APPLICATION_ID_AT:] == APPLICATION_ID.to_bytes(4, "big")
+            return stream.read(HEAD_BYTES)
     except OSError:
-        return False
+        return b""

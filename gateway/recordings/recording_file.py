@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from io import SEEK_END
 from typing import BinaryIO
 
+from firmware_protocol.own_files import HEAD_BYTES, tell_own_file
 from gateway.errors import RecordingError
 from gateway.transports.recording import LineRecord, RecordKind
 
@@ -82,7 +83,9 @@ def read_header(stream: BinaryIO, *, name: str) -> RecordingHeader:
     """
     magic = stream.read(len(_MAGIC))
     if magic != _MAGIC:
-        raise RecordingError(path=name, reason=f"is no recording: it begins with {magic.hex(' ') or 'nothing'}, not {_MAGIC.hex(' ')}")
+        own = tell_own_file(magic + stream.read(HEAD_BYTES))
+        begins = f": it begins with {magic.hex(' ') or 'nothing'}, not {_MAGIC.hex(' ')}; name a file of `biobot-gateway record`"
+        raise RecordingError(path=name, reason=f"is no recording{begins}" if own is None else f"is no recording but {own.what}: {own.use}")
     size_bytes = stream.read(_HEADER_SIZE.size)
     size = _HEADER_SIZE.unpack(size_bytes)[0] if len(size_bytes) == _HEADER_SIZE.size else 0
     if not 0 < size <= _MAX_HEADER:

@@ -75,8 +75,9 @@ def parse_port_spec(spec: str) -> PortSpec:
         It means nothing; the message says why and gives examples.
     """
     kind, colon, rest = spec.partition(":")
-    if not colon:
-        raise TransportSpecError(spec=spec, reason="names no kind of port: it must begin with serial:, tcp: or can:")
+    if not colon or spec.startswith("/"):
+        hint = f"; did you mean serial:{spec}?" if spec.startswith("/") else ""
+        raise TransportSpecError(spec=spec, reason=f"names no kind of port: it must begin with serial:, tcp: or can:{hint}")
     if kind == "serial":
         return _parse_serial(spec, rest)
     if kind == "tcp":

@@ -48,11 +48,28 @@ def tokens(args: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
         return 0
     if args.role is None:
         parser.error("tokens add: give --role viewer, operator or admin")
+    before = read_tokens(path)
     made = add_token(path, name=args.subject, role=Role(args.role), secret_file=args.token_file)
     if args.token_file is None:
         print(made.text)
-    print(f"{made.record.role} {made.record.name}, id {made.record.id}, in {path}; the token is shown this once", file=sys.stderr)
+    _tell_of(made.record, path, before)
     return 0
+
+
+def _tell_of(made: TokenRecord, path: Path, before: tuple[TokenRecord, ...] | None) -> None:
+    """Say what was made and who heeds it, and which others open for the same name: a lost token is not replaced by a new one."""
+    lines = [f"{made.role} {made.name}, id {made.id}, in {path.absolute()}; the token is shown this once"]
+    if before is None:
+        lines.append(
+            "that file was not there before: a service heeds it whose store is in the same folder, or that is started with "
+            f"--tokens {path.absolute()}; each logs at its start which file it reads (tokens=)"
+        )
+    lines += [
+        f"{one.name} has another token, id {one.id}, {one.role}; if that is lost: biobot-mapper tokens revoke {one.id} --tokens {path}"
+        for one in before or ()
+        if one.is_valid and one.name == made.name
+    ]
+    print(*lines, sep="\n", file=sys.stderr)
 
 
 def _list(records: tuple[TokenRecord, ...], path: Path) -> None:
@@ -62,7 +79,8 @@ def _list(records: tuple[TokenRecord, ...], path: Path) -> None:
         revoked = "" if record.revoked_wall_ns is None else _instant(record.revoked_wall_ns, "%Y-%m-%d")
         print(f"{record.id:<8}  {record.role:<8}  {_instant(record.created_wall_ns, '%Y-%m-%d')}  {used:<16}  {revoked:<10}  {record.name}")
     if not records:
-        print(f"no tokens in {path}", file=sys.stderr)
+        why = "" if path.exists() else ", which is not there; name the service's with --tokens or --store"
+        print(f"no tokens in {path.absolute()}{why}", file=sys.stderr)
 
 
 def _instant(wall_ns: int, form: str) -> str:

@@ -14,6 +14,7 @@ from typing import Final, TypeVar
 
 import msgspec
 
+from firmware_protocol.own_files import HEAD_BYTES, TOKENS, tell_own_file
 from mapper.access.errors import TokenFileError
 from mapper.access.tokens import TokenRecord
 
@@ -47,10 +48,13 @@ def read_tokens(path: Path) -> Records | None:
             facts = os.fstat(file.fileno())
             if not stat.S_ISREG(facts.st_mode):
                 raise TokenFileError(path=str(path), reason="is no file", next_step="name one in serve.tokens")
+            content = file.read(MAX_BYTES + 1)
+            own = tell_own_file(content[:HEAD_BYTES])
+            if own is not None and own is not TOKENS:
+                raise TokenFileError(path=str(path), reason=f"is {own.what}: {own.use}", next_step="name another file")
             if mode := stat.S_IMODE(facts.st_mode) & 0o077:
                 allowed = f"others than its owner may use it (mode {stat.S_IMODE(facts.st_mode):04o}, {mode:03o} too much)"
                 raise TokenFileError(path=str(path), reason=allowed, next_step=f"chmod 600 {path}, and revoke tokens that you do not know")
-            content = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
         return None
     except OSError as error:

@@ -159,8 +159,9 @@ class ExpectedData(DataItem):
     """Whether the encounters are enough, and when they will be."""
 
     expected_wait_s: float | None = Field(
-        description="At the rate of the last minutes; 0: they are enough; null: waiting alone does not help, or nobody can tell"
+        description="At the rate of the last minutes; 0: they are enough; null: waiting alone does not help, nothing arrives, or who knows"
     )
+    nothing_arrives: str | None = Field(description="Why no wait is promised though time would help; null: nothing is in the way")
 
 
 class CoverageView(AnswerModel):

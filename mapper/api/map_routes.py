@@ -1,5 +1,6 @@
 """The endpoints of the newest finished map: all of it, and its numbers. Before the first map they answer 503 with what is awaited."""
 
+import time
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Annotated, Final
@@ -17,6 +18,7 @@ from mapper.map_extracts import extract_betti, extract_hole, extract_holes
 from mapper.map_snapshot import MapSnapshot
 from mapper.request_errors import LengthsNotKeptError, OtherVersionError
 from mapper.served_bytes import ServedBytes
+from mapper.wait_promise import judge_promise
 
 MAP_PATH: Final = "/api/v1/map"
 MAP_PROBLEMS: Final = (HTTPStatus.SERVICE_UNAVAILABLE,)
@@ -111,9 +113,18 @@ def _add_number_routes(router: APIRouter, services: Services) -> None:
     async def get_coverage(request: Request) -> Response:
         """Say how fast encounters come, whose they are, whether they hang together, what is missing, and how long that takes.
 
-        It is there before the first map, too.
+        It is there before the first map, too. Where nothing arrives any more, no wait is told, but why.
         """
-        return await served(request.headers, services.current_map.require_coverage(), media_type=JSON_TYPE, headers={})
+        current = services.current_map
+        now_ns = time.time_ns()
+        coverage = judge_promise(
+            current.require_coverage(),
+            now_ns=now_ns,
+            has_newer=current.status.n_waiting > 0,
+            is_connected=services.is_connected(),
+            are_alive=[gateway.is_alive for gateway in services.fleet.gateways(now_ns=now_ns)],
+        )
+        return await served(request.headers, coverage, media_type=JSON_TYPE, headers={})
 
 
 async def _extracted(request: Request, services: Services, snapshot: MapSnapshot, body: bytes) -> Response:

@@ -16,7 +16,13 @@ SURE_ENOUGH: Final = 0.8
 """How likely the number of holes should be right."""
 LEAST_WELL_SEEN: Final = 0.2
 """How large a share of the points should be well seen."""
-_MUCH_APART = 0.1
+MUCH_APART: Final = 0.1
+"""The share of encounters in other components than the largest from which that is told."""
+ACROSS_PARTS: Final = (
+    "see whether there is a way between the parts: if so, walk on until biobots take it; if not, they are separate rooms, which no walking "
+    "joins: map each by itself"
+)
+"""What to do about parts of which no biobot of one met any of the other."""
 _LIKELY = 0.05
 
 
@@ -127,9 +133,10 @@ def _few_walkers(facts: Facts) -> Iterator[tuple[str, str]]:
 
 
 def _apart(facts: Facts) -> Iterator[tuple[str, str]]:
-    if facts.apart > _MUCH_APART:
-        reason = f"{facts.apart:.0%} of the encounters are not joined to the largest of {facts.n_components} components by any biobot"
-        yield reason, "walk on until biobots go from part to part"
+    if facts.apart > MUCH_APART:
+        share = f"{facts.apart:.0%} of the encounters are not joined to the largest of {facts.n_components} components by any biobot"
+        reason = f"{share}: the parts have no meeting in common"
+        yield reason, ACROSS_PARTS
 
 
 def _unsure(facts: Facts) -> Iterator[tuple[str, str]]:

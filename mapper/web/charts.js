@@ -18,7 +18,7 @@ import { buildShapeCard } from "./shape_card.js";
 import { readLengths } from "./simplices.js";
 import { SpotPanel } from "./spot_panel.js";
 import { TimeSlider } from "./time_slider.js";
-import { Verdict, waitText } from "./verdict.js";
+import { Verdict, sentence, waitText } from "./verdict.js";
 
 const CONFLICT = 409;
 
@@ -99,8 +99,15 @@ class Charts {
   async expect() {
     const coverage = await this.net.getJson("/api/v1/coverage");
     const waitS = coverage.data?.expected_wait_s ?? null;
-    this.verdict.expect(waitS);
-    setText(this.card.waitingTime, waitS ? `At this rate, a statement is likely in ${waitText(waitS)}.` : "");
+    const standstill = coverage.data?.nothing_arrives ?? null;
+    this.verdict.expect(waitS, standstill);
+    setText(this.card.waitingTime, waitS ? `At this rate, a statement is likely in ${waitText(waitS)}.` : sentence(standstill));
+  }
+
+  /** Ask that again now and then: no event tells that nothing arrives any more. */
+  async expectAgain() {
+    if (this.newest.map === null) await this.hasMap();
+    else if (this.time.version === null && this.newest.map.data?.is_enough === false) await this.expect();
   }
 
   async show(shown) {

@@ -108,6 +108,7 @@ every(RATES_MS, async () => live.isUp && refreshRates());
 every(LOOK_AGAIN_MS, lookAgain);
 setInterval(() => [stateLine, roster, mission, alerts].forEach((part) => part.tick()), TICK_MS);
 
-createCharts({ headline: element("headline"), map: element("map"), shape: element("shape"), live, net, account });
+const charts = createCharts({ headline: element("headline"), map: element("map"), shape: element("shape"), live, net, account });
+every(RATES_MS, async () => live.isUp && charts.expectAgain());
 // Who does not answer now is asked by the event stream, again and again.
 account.refresh().catch(() => {}).finally(() => live.run());

@@ -10,6 +10,11 @@ export function waitText(seconds) {
   return `about ${Math.round(seconds / 86400)} days`;
 }
 
+/** A reason as a sentence of its own; nothing for none. */
+export function sentence(reason) {
+  return reason ? `${reason[0].toUpperCase()}${reason.slice(1)}.` : "";
+}
+
 export class Verdict {
   constructor(root) {
     this.root = root;
@@ -20,6 +25,7 @@ export class Verdict {
     root.replaceChildren(make("p", { className: "verdict-head" }, this.title, this.wait), this.reasons, this.remedies);
     this.data = null;
     this.waitS = null;
+    this.standstill = null;
   }
 
   /** `data`: that of a map, or null where nobody knows. */
@@ -28,9 +34,10 @@ export class Verdict {
     this.render();
   }
 
-  /** How long until the data are likely to be enough [s]; null: waiting alone does not help, or nobody can tell. */
-  expect(waitS) {
+  /** How long until the data are likely to be enough [s]; null: waiting alone does not help, or nobody can tell; `standstill`: why nothing arrives, if so. */
+  expect(waitS, standstill = null) {
     this.waitS = waitS;
+    this.standstill = standstill;
     this.render();
   }
 
@@ -40,6 +47,6 @@ export class Verdict {
     if (!isShort) return;
     setText(this.reasons, `Why: ${this.data.reasons.join("; ")}.`);
     setText(this.remedies, this.data.remedies.length ? `What helps: ${this.data.remedies.join("; ")}.` : "");
-    setText(this.wait, this.waitS ? `Likely enough in ${waitText(this.waitS)}.` : "");
+    setText(this.wait, this.waitS ? `Likely enough in ${waitText(this.waitS)}.` : sentence(this.standstill));
   }
 }

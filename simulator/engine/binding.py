@@ -74,6 +74,8 @@ _FUNCTIONS = {
     "engine_take_legs": (c_int64, (c_void_p, POINTER(c_void_p))),
     "engine_open": (c_int64, (c_void_p, c_void_p, c_int64)),
     "engine_steps": (c_int64, (c_void_p,)),
+    "engine_work": (c_int64, (c_void_p,)),
+    "engine_now": (c_double, (c_void_p,)),
     "engine_save": (c_int64, (c_void_p, c_void_p, c_int64)),
     "engine_load": (c_void_p, (c_void_p, c_int64)),
     "engine_layout": (c_int64, ()),

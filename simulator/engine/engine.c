@@ -100,7 +100,7 @@ int engine_start(engine *e, double low_x, double low_y, double high_x, double hi
     e->low_y = low_y;
     int status = make_cells(e, high_x - low_x, high_y - low_y);
     if (status) return status;
-    for (int32_t i = 0; i < e->n; i++) {
+    for (int32_t i = e->n - 1; i >= 0; i--) { /* the last one first: then cells list them in order, and links are added at the end */
         find_cell(e, &e->insect[i]);
         enter_cell(e, i);
         walk(e, i, 0.0, 0.0, 0.0, 0.0);
@@ -111,15 +111,19 @@ int engine_start(engine *e, double low_x, double low_y, double high_x, double hi
     return e->has_failed ? -1 : 0;
 }
 
-/* Returns 1 where so many steps were made that what they told should be taken first, between two instants; 0 where `until_s` is reached. */
-int engine_advance(engine *e, double until_s, int64_t most_steps) {
-    int64_t last_step = e->n_steps + most_steps;
+/* Returns 1 where so much was done that what was told should be taken first, between two instants; 0 where `until_s` is reached. A step counts,
+   and so does a look at a pair: in a crowd one step looks at everybody. */
+int engine_advance(engine *e, double until_s, int64_t most_work) {
+    int64_t last_work = engine_work(e) + most_work;
     double t = e->now;
     for (;;) {
         int32_t i = (int32_t)e->order[0].i;
         double own = e->order[0].t, joint = e->n_pairs ? e->pairs[0].t : INFINITY;
         if (!(least(own, joint) < until_s) || e->has_failed) break;
-        if (e->n_steps >= last_step && least(own, joint) > t) return 1;
+        if (engine_work(e) >= last_work && least(own, joint) > t) {
+            e->now = t;
+            return e->has_failed ? -1 : 1;
+        }
         t = least(own, joint);
         e->n_steps++;
         if (own <= joint) {
@@ -277,3 +281,7 @@ int64_t engine_open(const engine *e, engine_event *found, int64_t room) {
 }
 
 int64_t engine_steps(const engine *e) { return e->n_steps; }
+
+int64_t engine_work(const engine *e) { return e->n_steps + e->n_looks; }
+
+double engine_now(const engine *e) { return e->now; }

@@ -49,7 +49,7 @@ engine *engine_create(const engine_config *config, int32_t n, const uint64_t *id
 void engine_free(engine *e);
 int engine_set_walls(engine *e, int32_t n, const double *start, const double *end, const double *normal, const int32_t *previous, double margin);
 int engine_start(engine *e, double low_x, double low_y, double high_x, double high_y);
-int engine_advance(engine *e, double until_s, int64_t most_steps);
+int engine_advance(engine *e, double until_s, int64_t most_work);
 int engine_replace_walls(engine *e, int32_t n, const double *start, const double *end, const double *normal, const int32_t *previous, double margin,
                          const double *xy);
 int engine_stop(engine *e, int32_t row, int32_t cause);
@@ -63,6 +63,8 @@ int64_t engine_take_events(engine *e, const engine_event **events);
 int64_t engine_take_legs(engine *e, const engine_leg **legs);
 int64_t engine_open(const engine *e, engine_event *found, int64_t room);
 int64_t engine_steps(const engine *e);
+int64_t engine_work(const engine *e);
+double engine_now(const engine *e);
 int64_t engine_save(const engine *e, uint8_t *place, int64_t room);
 engine *engine_load(const uint8_t *place, int64_t size);
 int64_t engine_layout(void);

@@ -17,8 +17,8 @@ Words = NDArray[np.uint64]
 Records = NDArray[Any]
 
 _OUT_OF_MEMORY, _TOO_NARROW, _OTHER_WALLS = -1, -2, -3
-# Events and legs of so many steps take some hundred megabytes at most.
-_MOST_STEPS = 2_000_000
+# Events and legs of so much work take some hundred megabytes at most, and Ctrl-C waits no longer than for it, some tenths of a second.
+_MOST_WORK = 2_000_000
 
 
 class Engine:
@@ -92,9 +92,19 @@ class Engine:
         """Events worked off so far, of all kinds."""
         return int(self._library.engine_steps(self._handle))
 
+    @property
+    def work(self) -> int:
+        """What was done so far: events, and looks at pairs; since it was made or taken up."""
+        return int(self._library.engine_work(self._handle))
+
+    @property
+    def now_s(self) -> float:
+        """The instant that is reached [s]; all before it has been worked off."""
+        return float(self._library.engine_now(self._handle))
+
     def advance(self, until_s: float) -> bool:
         """Let time run to ``until_s`` [s], exclusive; False where events and legs should be taken before it goes on."""
-        return self._check(self._library.engine_advance(self._handle, until_s, _MOST_STEPS), at_s=until_s) == 0
+        return self._check(self._library.engine_advance(self._handle, until_s, _MOST_WORK), at_s=until_s) == 0
 
     def take_events(self) -> Records:
         """Return what happened since the last call (dtype ``EVENT``), in order of time, kind, rows; modes in order of their making."""

@@ -3,10 +3,22 @@
 
 /* ---- pairs ---- */
 
+/* The place of another in a list, or where it would be: lists are in order, for in a crowd everybody is in everybody's. */
+static int32_t place_of(const links *all, int32_t other) {
+    int32_t low = 0, high = all->count;
+    while (low < high) {
+        int32_t middle = low + (high - low) / 2;
+        if (all->at[middle].other < other)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
+}
+
 link *find_link(links *all, int32_t other) {
-    for (int32_t k = 0; k < all->count; k++)
-        if (all->at[k].other == other) return &all->at[k];
-    return NULL;
+    int32_t place = place_of(all, other);
+    return place < all->count && all->at[place].other == other ? &all->at[place] : NULL;
 }
 
 link *add_link(engine *e, links *all, link one) {
@@ -20,13 +32,18 @@ link *add_link(engine *e, links *all, link one) {
         all->at = larger;
         all->room = wanted;
     }
-    all->at[all->count] = one;
-    return &all->at[all->count++];
+    int32_t place = place_of(all, one.other);
+    memmove(&all->at[place + 1], &all->at[place], (size_t)(all->count - place) * sizeof *all->at);
+    all->at[place] = one;
+    all->count++;
+    return &all->at[place];
 }
 
 void drop_link(links *all, int32_t other) {
     link *found = find_link(all, other);
-    if (found) *found = all->at[--all->count];
+    if (!found) return;
+    all->count--;
+    memmove(found, found + 1, (size_t)(&all->at[all->count] - found) * sizeof *found);
 }
 
 double wrap(double distance, double period) { return period * floor(distance / period + 0.5); }
@@ -175,6 +192,7 @@ void expect_contact(engine *e, int32_t a, int32_t b, const passage *p, double t)
 void evaluate(engine *e, int32_t i, int32_t j, double t) {
     int32_t a = i < j ? i : j, b = i < j ? j : i;
     passage p = see_passage(e, &e->insect[a], &e->insect[b], t);
+    e->n_looks++;
     if (!e->insect[a].is_silent && !e->insect[b].is_silent) expect_encounter(e, a, b, &p, t);
     if (e->config.contact > 0.0) expect_contact(e, a, b, &p, t);
 }

@@ -40,7 +40,7 @@ static int pass_links(tape *tape, links *all) {
     return 0;
 }
 
-static const uint64_t MARK = 0x62696f626f740003u; /* a word that also tells the byte order, and the version of the layout */
+static const uint64_t MARK = 0x62696f626f740004u; /* a word that also tells the byte order, and the version of the layout */
 
 /* Sizes of what crosses the border, for binding.py to compare with its own. */
 int64_t engine_layout(void) { return (int64_t)(10000 * sizeof(engine_config) + 100 * sizeof(engine_event) + sizeof(engine_leg)); }
@@ -111,7 +111,7 @@ static int is_wall_or_none(const engine *e, int32_t k) { return k >= -1 && k < e
 
 static int are_sound(const engine *e, const links *all, int32_t of) {
     for (int32_t k = 0; k < all->count; k++)
-        if (!is_row(e, all->at[k].other) || all->at[k].other == of) return 0;
+        if (!is_row(e, all->at[k].other) || all->at[k].other == of || (k && all->at[k - 1].other >= all->at[k].other)) return 0;
     return 1;
 }
 

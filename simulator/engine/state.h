@@ -89,6 +89,7 @@ struct engine {
     engine_leg *legs;
     int64_t n_legs, room_legs;
     int64_t n_steps;
+    int64_t n_looks; /* at pairs, since the engine was made or loaded */
     int has_failed; /* memory ran out */
 };
 

@@ -3,8 +3,9 @@
 The world's unit of length counts as a metre. Times are the world's: as if every backpack's clock had been fitted without error.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -127,7 +128,14 @@ class Sensed:
 
 
 def sense(
-    paths: Paths, *, ids: Sequence[int], arena: Arena, until_s: float, config: SensingConfig, off_s: Mapping[int, float] | None = None
+    paths: Paths,
+    *,
+    ids: Sequence[int],
+    arena: Arena,
+    until_s: float,
+    config: SensingConfig,
+    off_s: Mapping[int, float] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Sensed:
     """Let everybody send beacons from 0 to ``until_s`` [s] and log those of the others.
 
@@ -139,6 +147,8 @@ def sense(
         Whose walls attenuate, for the whole run.
     off_s
         When backpacks were switched off or lost [s]: from then on they neither send nor hear. By identity; None: never.
+    progress
+        Called now and then with the instant up to which beacons were looked at [s].
 
     Raises
     ------
@@ -177,6 +187,8 @@ def sense(
         kept = (fate == Fate.HEARD) & (rssi_dbm >= proximity.exit_dbm)
         row = subject[packet[kept]]
         heard.append((listener[kept], packets.sender[row], packets.start_ns[row], rssi_dbm[kept]))
+        if progress is not None:
+            progress(int(packets.start_ns[subject[-1]]) / _NS_PER_S)
     fates = {fate.name.lower(): int(counts[fate]) for fate in Fate}
     fates["csma_failure"] = sum(
         int((_distances(paths.places(at_ns[k : k + block] / _NS_PER_S), who[k : k + block]) <= config.communication).sum())
@@ -242,13 +254,14 @@ def _log(heard: list[tuple[Indices, Indices, Indices, Floats]], *, ids: Sequence
     empty = (np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
     listener, sender, at_ns, rssi_dbm = (np.concatenate(parts) for parts in zip(empty, *heard, strict=True))
     order = np.lexsort((sender, at_ns, listener))
-    loggers: dict[int, ProximityLogger] = {}
+    columns = [values[order] for values in (sender, at_ns, rssi_dbm)]
     closed: list[tuple[int, Closed]] = []
-    columns = (values[order].tolist() for values in (listener, sender, at_ns, rssi_dbm))
-    for to, by, at, strength in zip(*columns, strict=True):
-        logger = loggers.setdefault(to, ProximityLogger(config=proximity))
-        closed += [(to, one) for one in logger.hear(ids[by], at=at, rssi_dbm=strength) if isinstance(one, Closed)]
-    closed += [(to, one) for to, logger in loggers.items() for one in logger.close_all()]
+    ends = np.cumsum(np.bincount(listener, minlength=len(ids))).tolist()
+    for to, (first, end) in enumerate(pairwise([0, *ends])):  # one listener at a time: numbers of Python take more memory than arrays
+        logger = ProximityLogger(config=proximity)
+        for by, at, strength in zip(*(values[first:end].tolist() for values in columns), strict=True):
+            closed += [(to, one) for one in logger.hear(ids[by], at=at, rssi_dbm=strength) if isinstance(one, Closed)]
+        closed += [(to, one) for one in logger.close_all()]
     return sorted(
         (
             Observation(

@@ -76,3 +76,47 @@ def test_the_command_line_makes_a_site_and_a_configuration_that_is_valid(tmp_pat
     capsys.readouterr()
     assert main(["certs", "check", pki]) == 1
     assert "local/viewer/bob: until" in capsys.readouterr().out
+
+
+def test_a_certificate_that_would_be_of_no_use_is_refused_and_a_site_that_was_taken_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pki = str(tmp_path / "pki")
+    assert main(["certs", "init", pki]) == 0
+    assert main(["certs", "issue", pki, "router", "main"]) == 1
+    assert "a router's certificate without a host lets nobody connect; issue it with --host ADDRESS" in capsys.readouterr().err
+    assert main(["certs", "issue", pki, "router", "main", "--host", "192.0.2.1"]) == 0
+    assert main(["certs", "issue", pki, "router", "main", "--renew"]) == 0, "the hosts of the one before are taken"
+    assert main(["certs", "check", pki]) == 0
+    capsys.readouterr()
+    assert main(["certs", "issue", pki, "gateway", "base1", "--site", "demo"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["certs", "issue", pki, "mapper", "map1"]) == 0
+    warned = capsys.readouterr().err
+    assert "no --site: it is for site local" in warned
+    assert "warning: the others of this authority are of site demo, and do not hear it: --site demo if it belongs there" in warned
+    other = str(tmp_path / "other")
+    assert main(["certs", "init", other]) == 0
+    assert main(["certs", "issue", other, "gateway", "base1"]) == 0
+    told = capsys.readouterr()
+    assert told.err.splitlines() == [
+        "biobot-gateway: no --site: it is for site local, which services are of where their configuration names none"
+    ]
+    assert 'site = "local"' in told.out
+    # No router is known to that authority; the first one's host is, where there is one.
+    assert 'connect = ["tls/ROUTER:7447"]' in told.out
+    (tmp_path / "gateway.toml").write_text(told.out[told.out.index("# for") :])
+    assert main(["run", "--config", str(tmp_path / "gateway.toml"), "--port", "tcp:127.0.0.1:1", "--check-config"]) == 0
+    assert "connect: tls/ROUTER:7447: ROUTER stands for the router's address; put its name or address" in capsys.readouterr().err
+    assert main(["certs", "issue", pki, "operator", "alice", "--site", "demo"]) == 0
+    assert 'connect = ["tls/192.0.2.1:7447"]' in capsys.readouterr().out
+
+
+def test_each_fault_of_a_routers_configuration_names_its_file_or_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "router.toml"
+    file.write_text(f'listen = ["tls/0.0.0.0"]\nroster = "{tmp_path}/none"\n')
+    assert main(["router", "--config", str(file), "--tls-ca", f"{tmp_path}/ca.pem", "--check-config"]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert sum(line.startswith(f"biobot-gateway: {file}: ") for line in told) == 3, told
+    assert sum(line.startswith(f"biobot-gateway: --tls-ca: tls.ca {tmp_path}/ca.pem: cannot be read") for line in told) == 1, told
+    assert any("roster is given, but tls is not" in line for line in told)

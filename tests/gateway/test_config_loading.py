@@ -1,5 +1,7 @@
 """The gateway's configuration: everything that is wrong with it is told at once, with file and key."""
 
+import json
+import socket
 from pathlib import Path
 
 import pytest
@@ -149,3 +151,31 @@ def test_an_endpoint_without_tls_is_told_by_the_flag_that_gave_it(end: str) -> N
     with pytest.raises(ConfigurationError) as caught:
         load_gateway_config(environment={}, flags=flags, flag_names={"listen": "--listen", "connect": "--connect"}, needs_radio=False)
     assert [problem.split(" ")[0] for problem in caught.value.problems] == [f"--{end}:"]
+
+
+def test_a_check_says_what_would_be_in_the_way_now_and_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The other program may be the service whose file is checked, and a dongle may come later: warnings, each with the next step."""
+    path = tmp_path / "j.sqlite"
+    journal = open_journal_file(path, now_wall_ns=10**18, now_ns=0, machine_boot="", gateway="base1")
+    with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
+        endpoint, monitor = f"tcp/127.0.0.1:{one.getsockname()[1]}", f"127.0.0.1:{other.getsockname()[1]}"
+        arguments = ["run", "--name", "base1", "--journal", str(path), "--listen", endpoint, "--monitor", monitor, "--check-config"]
+        arguments += ["--port", f"serial:{tmp_path}/dongle", "--port", "can:socketcan:nocan9?unit=1"]
+        assert main(arguments) == 0
+        told = capsys.readouterr()
+        assert main(["router", "--listen", endpoint, "--check-config"]) == 0
+        assert f"warning: listen: {endpoint}: another program has it; end what" in capsys.readouterr().err
+    for warning in (
+        f"listen: {endpoint}: another program has it; end what listens there",
+        f"monitor.listen: {monitor}: another program has it; end what listens there",
+        f"journal {path}: a gateway has it open; stop that one",
+        f"port serial:{tmp_path}/dongle: {tmp_path}/dongle is not there; plug the dongle in",
+        "there is no network interface nocan9; plug the adapter in",
+    ):
+        assert sum(f"warning: {warning}" in line or f": {warning}" in line for line in told.err.splitlines()) == 1, warning
+    assert len(told.err.splitlines()) == 5
+    assert json.loads(told.out)["name"] == "base1"
+    journal.close()
+    (tmp_path / "dongle").touch()
+    assert main([*arguments[:-2], "--check-config"]) == 0
+    assert capsys.readouterr().err == "", "what is in nobody's way is not told"

@@ -8,7 +8,7 @@ from firmware_protocol.contract.sessions import TlsTable
 from gateway.bus_session import open_client, open_service
 from gateway.connecting import diagnose, why_not_listening
 from gateway.errors import BusError
-from gateway.zenoh_log import put_plainly
+from gateway.zenoh_log import put_plainly, what_is_told
 from studies.ports import free_port
 
 
@@ -56,3 +56,12 @@ def test_refused_handshakes_are_put_plainly(said: str, words: str) -> None:
     assert words in told
     assert told.endswith(f"[{said}]")
     assert put_plainly("something else") == "something else"
+
+
+def test_what_zenoh_says_of_one_that_is_denied_is_told_once_and_explained() -> None:
+    start = "2026-11-27T08:03:53.709162Z ERROR net-0 ThreadId(09) zenoh::net::routing:"
+    lines = [f"{start} {text}" for text in ("Unknown interest", "Unknown subscriber id=1", "Unknown id", "something else", "Unknown id")]
+    told = list(what_is_told(lines, clock_s=lambda: 0.0))
+    assert [level for level, _ in told] == ["ERROR", "ERROR"]
+    assert "who is not on the roster (router.stranger names them)" in told[0][1]
+    assert told[1][1] == "something else"

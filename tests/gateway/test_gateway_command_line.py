@@ -120,6 +120,8 @@ def test_no_port_a_missing_file_and_bad_usage_are_exit_2(tmp_path: Path) -> None
         (["command", "7", "jump"], "invalid choice"),
         (["command", "-7", "stop"], "node is -7"),
         (["command", "7", "stop", "--ttl-ms", "0"], "--ttl-ms is 0"),
+        (["stop"], "give numbers of biobots, or --all"),
+        (["stop", "everybody"], "'everybody' is no biobot's number; give numbers, or --all for every biobot"),
     ):
         result = _in_process(*arguments, cwd=tmp_path)
         assert (result.returncode, "Traceback" in result.stderr) == (2, False), result.stderr
@@ -223,9 +225,16 @@ def test_the_status_of_a_running_gateway_is_printed(tmp_path: Path) -> None:
     with subprocess.Popen(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(_ROOT)}, stderr=subprocess.DEVNULL) as gateway:
         try:
             result = _status(endpoint, cwd=tmp_path)
+            elsewhere = _in_process("stop", "all", "--site", "other", "--connect", endpoint, cwd=tmp_path)
+            stopped = _in_process("stop", "7", "--all", "--connect", endpoint, cwd=tmp_path)
         finally:
             gateway.send_signal(signal.SIGTERM)
 
+    assert elsewhere.returncode == 1
+    assert "are site and endpoint right? There is gateway 'base7' at site 'local'. Nothing was stopped" in elsewhere.stderr
+    # Its dongle is not there: all are wanted, and nothing confirms; it is asked all the same.
+    assert {json.loads(line)["action"] for line in stopped.stdout.splitlines()} == {"stop_all"}
+    assert "asked: base7;" in stopped.stderr
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout)["gateway"] == "base7"
     assert gateway.returncode == 0

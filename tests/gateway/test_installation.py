@@ -1,7 +1,9 @@
 """Services that are installed below a folder: what an installation, an upgrade and a removal leave of what was there."""
 
+import contextlib
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -169,6 +171,30 @@ def test_a_dry_run_says_all_and_changes_nothing(root: Path, capsys: pytest.Captu
     assert uninstall(root, "--dry-run") == 0
     assert "remove /etc/systemd/system/biobot-gateway.service" in capsys.readouterr().out.splitlines()
     assert tree_of(root) == there
+
+
+@pytest.mark.skipif(Path("/etc/biobot").exists(), reason="biobot is installed here: what it does depends on what is configured")
+def test_a_dry_run_on_this_machine_makes_the_checks_of_the_real_run_and_changes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Programs where no unit can start them, a gateway without a radio, a page's port that somebody has: each told, in one round."""
+    programs = tmp_path / "programs"
+    programs.symlink_to(sys.prefix)
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError):  # somebody else has it: as well
+            held.enter_context(socket.create_server(("127.0.0.1", 8080)))
+        assert main(["install-service", "--dry-run", "--programs", str(programs)]) == 1
+    told = capsys.readouterr()
+    assert f"would be refused: {programs}/bin/python: units do not see what is in" in told.err or "may not enter it" in told.err
+    assert (
+        "biobot-gateway.service would not be started: biobot-gateway: /etc/biobot/gateway.toml: no radio: name at least one with --port"
+        in told.out
+    )
+    assert "mapper is to listen on 127.0.0.1:8080: another program has it; end what listens there" in told.out
+    assert "write /etc/biobot/gateway.toml" in told.out
+    assert not Path("/etc/biobot").exists()
+    assert main(["install-service", "--dry-run", "--programs", str(tmp_path / "nowhere"), "--port", "tcp:127.0.0.1:1"]) == 1
+    assert f"would be refused: {tmp_path}/nowhere/bin/biobot-gateway: is not there; install the wheel" in capsys.readouterr().err
 
 
 def test_data_stay_unless_they_are_to_go_and_then_somebody_must_agree(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

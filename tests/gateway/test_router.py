@@ -12,7 +12,7 @@ from typing import IO
 
 import pytest
 
-from gateway.bus_session import open_service
+from gateway.bus_session import open_client, open_service
 from gateway.router import Router
 from gateway.router_config import RouterConfig
 from gateway.service_manager import ServiceManager
@@ -35,6 +35,7 @@ def until_event(lines: IO[str], event: str) -> dict[str, object]:
 def test_it_is_ready_reads_its_roster_again_at_sighup_and_says_who_is_connected(tmp_path: Path) -> None:
     certified = Certified(tmp_path / "ca")
     tls, viewer, port = certified.tls("*/router/main"), certified.tls("demo/viewer/bob"), free_port()
+    visitor = certified.tls("demo/viewer/eve")
     command = [sys.executable, "-m", "gateway", "router", "--listen", f"tls/0.0.0.0:{port}", "--roster", str(certified.roster)]
     command += ["--tls-ca", str(tls.ca), "--tls-certificate", str(tls.certificate), "--tls-key", str(tls.key)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NOTIFY_SOCKET": str(tmp_path / "notify")}
@@ -44,8 +45,9 @@ def test_it_is_ready_reads_its_roster_again_at_sighup_and_says_who_is_connected(
         with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as router:
             assert router.stderr is not None
             assert manager.recv(4096) == b"READY=1"
-            # Its health check is let in and is no news: who is told to have joined is the next one.
+            # Its health check is let in and is no news, nor is who comes for a moment: who is told to have joined is the next one.
             assert subprocess.run([*command, "--ping"], cwd=tmp_path, env=environment, check=False).returncode == 0
+            open_client(connect=[f"tls/127.0.0.1:{port}"], tls=visitor).close()  # type: ignore[no-untyped-call]  # as in gateway.router
             with open_service(listen=[], connect=[f"tls/127.0.0.1:{port}"], tls=viewer):
                 assert until_event(router.stderr, "router.joined")["name"] == "demo/viewer/bob"
                 while manager.recv(4096) != b"STATUS=1 connected":

@@ -210,7 +210,7 @@ def test_port_names_mean_what_they_say() -> None:
 @pytest.mark.parametrize(
     ("spec", "reason"),
     [
-        ("/dev/ttyACM0", "names no kind of port"),
+        ("/dev/ttyACM0", "names no kind of port: it must begin with serial:, tcp: or can:; did you mean serial:/dev/ttyACM0?"),
         ("usb:0", "unknown kind 'usb'"),
         ("can:can0", "must be can:INTERFACE:CHANNEL"),
         ("serial:", "names no device"),

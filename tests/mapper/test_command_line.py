@@ -4,6 +4,7 @@ import importlib.util
 import json
 import os
 import re
+import socket
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -167,12 +168,14 @@ def test_an_interrupt_while_libraries_are_imported_is_no_traceback(ring: Path, d
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
-# Runs with little more memory than the program and its libraries take, SciPy among them, which is imported when it is wanted.
+# Runs with little more memory than the program and its libraries take; what is imported when it is wanted is among them: where there is
+# no room for an import, the interpreter itself adds lines of its own.
 LIMITED = """
 import resource
 import sys
 from pathlib import Path
-import mapper.command_line, mapper.encounter_csv, mapper.pipeline, scipy.optimize, scipy.sparse.csgraph
+import mapper.command_line, mapper.encounter_csv, mapper.kernels, mapper.log_map, mapper.map_sketch, mapper.pins, mapper.pipeline
+import mapper.places, mapper.reading, mapper.time_limits, scipy.optimize, scipy.sparse.csgraph
 from mapper.__main__ import main
 
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
@@ -431,3 +434,28 @@ def test_check_config_of_serve_tries_endpoints_and_the_store_and_leaves_nothing(
     store.write_text("a diary")
     assert main(["serve", "--store", str(store), "--check-config"]) == 2
     assert "is not a store of records" in capsys.readouterr().err
+
+
+def test_check_config_of_serve_says_what_would_be_in_the_way_now_and_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It may be the very service whose configuration is checked: warnings, not faults."""
+    store = tmp_path / "store"
+    holds = "import sys, pathlib, mapper.store_file as s; kept = s.open_store_file(pathlib.Path(sys.argv[1])); print(flush=True); input()"
+    command = [sys.executable, "-c", holds, str(store)]
+    with (
+        socket.create_server(("127.0.0.1", 0)) as page,
+        socket.create_server(("127.0.0.1", 0)) as bus,
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder,
+    ):
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        port, endpoint = page.getsockname()[1], f"tcp/127.0.0.1:{bus.getsockname()[1]}"
+        assert main(["serve", "--store", str(store), "--port", str(port), "--listen", endpoint, "--check-config"]) == 0
+        told = capsys.readouterr().err.splitlines()
+    assert told[0].startswith(f"biobot-mapper: warning: serve.port: 127.0.0.1:{port}: another program has it; end what listens there")
+    assert told[1].startswith(f"biobot-mapper: warning: serve.listen: {endpoint}: another program has it; end what listens there")
+    assert told[2].startswith(f"biobot-mapper: warning: serve.store {store}: process {holder.pid} has it open; end it if")
+    assert len(told) == 3
+    assert main(["serve", "--store", str(store), "--port", "0", "--connect", "tcp/ROUTER:7447", "--check-config"]) == 0
+    assert "serve.connect: tcp/ROUTER:7447: ROUTER stands for the router's address" in capsys.readouterr().err
+    assert main(["serve", "--store", str(store), "--port", "0", "--check-config"]) == 0
+    assert capsys.readouterr().err == "", "what is in nobody's way is not told"

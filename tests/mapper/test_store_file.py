@@ -10,8 +10,9 @@ from contextlib import closing
 from pathlib import Path
 
 from firmware_protocol.contract.records import JournalRecord, encode_journal_record
+from firmware_protocol.own_files import STORE_ID
 from mapper.store import KeptMap, Store
-from mapper.store_file import APPLICATION_ID, SCHEMA_VERSION
+from mapper.store_file import SCHEMA_VERSION
 from tests.mapper.fake_gateway import BOOT, batch, encounter, mode
 
 # As version 1 of the schema was when stores were first made with it.
@@ -35,7 +36,7 @@ _MAP = KeptMap(made_by="one", change=3, document=b"\x00map")
 def write_version_1(path: Path) -> None:
     records: list[tuple[int, JournalRecord]] = [(0, encounter(1)), (1, mode(2, node=2**64 - 1, t_ns=(0, None))), (0, encounter(5))]
     with closing(sqlite3.connect(path)) as database:
-        database.executescript(f"PRAGMA journal_mode = WAL; PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = 1;{_SCHEMA_1}")
+        database.executescript(f"PRAGMA journal_mode = WAL; PRAGMA application_id = {STORE_ID}; PRAGMA user_version = 1;{_SCHEMA_1}")
         for change, (kind, record) in enumerate(records, start=1):
             row = (change, 1, BOOT, record.sequence, record.revision, kind, change, encode_journal_record(record))
             database.execute("INSERT INTO record VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)

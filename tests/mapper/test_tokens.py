@@ -261,6 +261,30 @@ def test_tokens_are_made_listed_and_revoked_on_the_command_line(tmp_path: Path, 
             main(["tokens", *bad, *where])
 
 
+def test_who_makes_a_token_hears_who_heeds_it_and_which_others_open(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "tokens.json"
+    add = ["tokens", "add", "anna", "--role", "operator", "--tokens", str(path)]
+    assert main(["tokens", "list", "--tokens", str(path)]) == 0
+    assert f"no tokens in {path}, which is not there; name the service's with" in capsys.readouterr().err
+    assert main(add) == 0
+    told = capsys.readouterr().err
+    assert f"in {path}; " in told
+    assert (
+        f"that file was not there before: a service heeds it whose store is in the same folder, or that is started with --tokens {path}"
+        in told
+    )
+    assert "another" not in told
+    assert main(["tokens", "add", "bert", "--role", "viewer", "--tokens", str(path)]) == 0
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    first, _ = read_tokens(path) or ()
+    assert main(add) == 0
+    said = f"anna has another token, id {first.id}, operator; if that is lost: biobot-mapper tokens revoke {first.id} --tokens {path}"
+    assert said in capsys.readouterr().err
+    revoke_token(path, token_id=first.id, keeps_admin=False)
+    assert main(add) == 0
+    assert first.id not in capsys.readouterr().err, "one that was revoked opens nothing"
+
+
 def test_a_record_says_nothing_of_the_secret() -> None:
     text, record = mint(name="anna", role=Role.ADMIN, random=bytes(range(36)), now_wall_ns=1)
     assert isinstance(record, TokenRecord)

@@ -61,6 +61,20 @@ def test_engine_and_plain_implementation_agree_in_a_crowd(name: str) -> None:
     assert mine == plain
 
 
+def test_in_a_crowd_progress_is_told_before_the_first_second_is_over() -> None:
+    """A leg ends 20 times a second, and each time 400 others are looked at: 3.2 million looks in the first second."""
+    world = World(
+        build_arena(box(0.0, 0.0, 1.0, 1.0)),
+        motion=MotionParameters(speed=1.0, mean_leg=0.05),
+        ranges=Ranges(detection=1.0, communication=1.0),
+        ids=range(1, 401),
+        seed=1,
+    )
+    told: list[float] = []
+    world.run(1.0, progress=told.append)
+    assert 0.0 < told[0] < told[-1] == 1.0
+
+
 def busy(*, seed: int = 3, biobots: int = 40) -> World:
     return World(one_obstacle(), motion=BUSY, ranges=RANGES, ids=range(1, biobots + 1), seed=seed)
 

@@ -16,9 +16,11 @@ from simulator.arenas.geojson import load_arena
 from simulator.arenas.scenarios import SCENARIOS
 from simulator.config import RunConfig
 from simulator.errors import ArenaError, OutputError, ParameterError, ScenarioError
+from simulator.log import set_up_logging
 from simulator.motion import MotionParameters
 from simulator.output import OutputDirectory
 from simulator.presets import PRESETS
+from simulator.progress import shown_progress
 from simulator.run import run
 from simulator.setting import choose_setting
 
@@ -180,6 +182,9 @@ def test_separate_rooms_share_the_landmarks_by_size(tmp_path: Path) -> None:
         ({"biobots": 100_000}, ParameterError, "number of encounters to expect"),
         ({"mean_leg": 1e-9}, ParameterError, "number of legs to walk"),
         ({"detection_radius": 1e-6}, ParameterError, "same unit of length"),
+        ({"detection_radius": 71.0}, ParameterError, r"detection radius is 71.0; wanted less than 70.7107 unit, .*same unit of length"),
+        ({"detection_radius": 40.0, "biobots": 20_000, "duration_s": 0.1}, ParameterError, "number of looks of biobots at each other"),
+        ({"beacon_period_s": 0.001, "sensing": "beacon", "communication_radius": 70.0}, ParameterError, "number of beacons to be heard"),
     ],
 )
 def test_what_cannot_be_run_is_refused_before_anything_is_written(
@@ -188,6 +193,18 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(
     with pytest.raises(error, match=problem):
         run(config(tmp_path / "out", **changed))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_long_work_says_how_far_it_is_where_nobody_sees_a_bar(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    set_up_logging()
+    with shown_progress("run.progress", total=60.0, unit="s", every_s=0.0) as show:
+        show(12.5)
+    assert json.loads(capsys.readouterr().err) | {"time": ""} == {
+        "time": "", "level": "INFO", "event": "run.progress", "done": 12.5, "of": 60.0, "unit": "s"
+    }  # fmt: skip
+    with shown_progress("run.progress", total=60.0, unit="s", every_s=3600.0) as show:
+        show(12.5)
+    assert capsys.readouterr().err == ""
 
 
 def test_a_detection_radius_alone_scales_the_communication_radius(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from mapper.certainty import sure_text
-from mapper.confidence.sufficiency import Doubt, Facts, describe_count, judge_data
+from mapper.confidence.sufficiency import ACROSS_PARTS, Doubt, Facts, describe_count, judge_data
 from mapper.types import HoleCount
 
 _SURE = HoleCount(value=1, probability=0.97, probabilities=(0.01, 0.97, 0.02))
@@ -60,8 +60,8 @@ def test_much_of_all_is_enough() -> None:
         (_facts(walkers=4), "only 4 biobots walk; 10 are wanted", "let 6 more biobots walk"),
         (
             _facts(apart=0.4),
-            "40% of the encounters are not joined to the largest of 2 components by any biobot",
-            "walk on until biobots go from part to part",
+            "40% of the encounters are not joined to the largest of 2 components by any biobot: the parts have no meeting in common",
+            ACROSS_PARTS,
         ),
         (
             _facts(count=_UNSURE),
