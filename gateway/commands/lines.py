@@ -10,6 +10,7 @@ from pathlib import Path
 
 from firmware_protocol.dialects.choice import DIALECTS
 from gateway.commands.outcome import DONE, FAILED, complain
+from gateway.errors import RecordingError, TransportError
 from gateway.recordings.dialects import make_line_dissector
 from gateway.recordings.line_offer import parse_offer
 from gateway.recordings.listening import Listening, listen
@@ -78,6 +79,11 @@ def sniff(options: argparse.Namespace) -> int:
 
     try:
         has_answered = asyncio.run(listen(spec, how=how_to_listen(options), take=take))
+    except TransportError:
+        if recorder is not None:
+            recorder.close()
+            _remove_if_empty(options.record)
+        raise
     finally:
         if recorder is not None:
             recorder.close()
@@ -89,7 +95,11 @@ def sniff(options: argparse.Namespace) -> int:
 def record(options: argparse.Namespace) -> int:
     """Record what passes on a port, until told to end or the disk is full."""
     spec = parse_port_spec(options.port)
-    recorder, has_answered = asyncio.run(_record(spec, options))
+    try:
+        recorder, has_answered = asyncio.run(_record(spec, options))
+    except TransportError:
+        _remove_if_empty(options.file)
+        raise
     if recorder.fault is not None:
         return _tell_fault(options.file, recorder.fault)
     complain(f"{options.file}: {options.file.stat().st_size} bytes")
@@ -120,6 +130,15 @@ def tell_no_answer(dialect: str, port: str) -> int:
     """Say that the dongle did not answer in its dialect; returns the exit status."""
     place = port.split("?", maxsplit=1)[0].removeprefix("serial:")
     return complain(f"the dongle did not answer as {dialect}; `biobot-gateway probe {place}` tells what it is", status=FAILED)
+
+
+def _remove_if_empty(path: Path) -> None:
+    """Take away a recording of nothing, as of a port that was spelled wrong: the same name is free for the next attempt."""
+    with contextlib.suppress(RecordingError, OSError):
+        with open_recording(path) as recording:
+            is_empty = next(iter(recording.records), None) is None
+        if is_empty:
+            path.unlink()
 
 
 def _tell_fault(path: Path, fault: str) -> int:

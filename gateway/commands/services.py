@@ -72,7 +72,7 @@ def uninstall_service(options: argparse.Namespace) -> int:
     """Remove, or say what that would remove."""
     if options.dry_run:
         plan = plan_removal(_root(options), record=read_record(_root(options)), purges=options.purge)
-        _print_all([*map(describe, plan.changes), *plan.notes])
+        _print_all([*map(describe, plan.changes), *plan.notes] or [f"no service of biobot is installed below {_root(options)}"])
         return DONE
     if options.purge and not options.yes and not _agrees():
         return complain("nothing was removed", status=FAILED)

@@ -160,6 +160,8 @@ def test_an_installation_that_fails_half_way_changes_nothing(root: Path, capsys:
 
 def test_a_dry_run_says_all_and_changes_nothing(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = tree_of(root)
+    assert uninstall(root, "--dry-run") == 0
+    assert capsys.readouterr().out == f"no service of biobot is installed below {root}\n"
     assert install(root, "--dry-run") == 0
     said = capsys.readouterr().out.splitlines()
     assert tree_of(root) == before

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from firmware_protocol.dialects.choice import DIALECTS
 from firmware_protocol.dialects.xbee_frames import Receive
 from firmware_protocol.envelope import CoordinatorHello
+from gateway.__main__ import main
 from gateway.recordings.dialects import make_line_dissector
 from gateway.recordings.line_offer import parse_offer
 from gateway.recordings.listening import Listening, listen
@@ -191,3 +192,12 @@ def test_the_text_that_opens_a_transparent_xbee_is_no_fault() -> None:
 
     assert [(one.name, one.fields, one.fault) for one in told] == [("text", {"says": "+++"}, ""), ("text", {"says": "ATAP2"}, "")]
     assert [one.fault for one in dissector.feed(b"+++", is_outgoing=False)] == ["frame.noise"]
+
+
+def test_a_port_that_was_spelled_wrong_leaves_the_name_of_the_recording_free(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    port = f"serial:{tmp_path}/nowhere"
+    for _ in range(2):
+        assert main(["record", str(tmp_path / "one.biorec"), "--port", port]) == 1
+        assert main(["sniff", "--record", str(tmp_path / "two.biorec"), "--port", port]) == 1
+        assert capsys.readouterr().err.count("there is no ") == 2
+    assert not list(tmp_path.iterdir())

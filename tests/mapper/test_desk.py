@@ -91,7 +91,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
         gateway = stack.enter_context(FakeGateway(port=port))
         gateway.clock = time.time_ns
         browser = stack.enter_context(launched())
-        url, _process = stack.enter_context(serving(directory, connect=port))
+        config = directory / "mapper.toml"
+        config.write_text("[alerts]\nlost_s = 240\n")  # on a busy machine a test takes longer than the minute that it is by default
+        url, _process = stack.enter_context(serving(directory, connect=port, arguments=["--config", str(config)]))
         is_over = threading.Event()
 
         def beat() -> None:
