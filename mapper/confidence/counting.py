@@ -30,6 +30,9 @@ COUNT_FEATURES: Final = (
 _ROOM = 6
 _LEAST = 1e-3
 _MOST_ODDS = 5.0
+_BEYOND_TRAINING = 0.2
+"""How far the loops' probabilities are not believed where they were not checked (own choice): with so much the prior holds all the
+same. A map of a handful of points has no loop at all, which is no proof that there is no hole."""
 
 
 def is_telling(*, n_points: int, n_landmarks: int, n_walkers: int) -> bool:
@@ -100,18 +103,23 @@ def count_holes(
     is_telling
         The map can tell anything of holes; if not, the prior is all that is known.
     alone
-        The probabilities of the loops where the map is unlike those of training: then they alone tell, as if independent; None elsewhere.
+        The probabilities of the loops where the map is unlike those of training: then they and the prior alone tell, the loops as if
+        independent; None elsewhere.
     """
     if is_telling and alone is not None:
         total = np.zeros(len(columns["number"]))
         summed = add_up(alone)[: len(total)]
         total[: len(summed)] = summed
-        return np.asarray(total / total.sum())
+        return np.asarray((1.0 - _BEYOND_TRAINING) * total / total.sum() + _BEYOND_TRAINING * _padded(prior, len(total)))
     if not is_telling:
-        return np.pad(np.array(prior), (0, len(columns["number"]) - len(prior)))
+        return _padded(prior, len(columns["number"]))
     score = model.score(columns)
     weights = np.exp(score - score.max())
     return np.asarray(weights / weights.sum())
+
+
+def _padded(prior: Sequence[float], n: int) -> FloatArray:
+    return np.pad(np.array(prior, dtype=np.float64), (0, n - len(prior)))
 
 
 def add_up(probabilities: FloatArray) -> FloatArray:

