@@ -230,7 +230,11 @@ def _decode(path: Path, data: bytes) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        remedy = "is this a CSV file? If so, save it as UTF-8: iconv -f LATIN1 -t UTF-8"
+        remedy = "is this a CSV file?"
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            remedy = "it begins as UTF-16 does: iconv -f UTF-16 -t UTF-8"
+        elif b"\0" not in data:
+            remedy += " If so, save it as UTF-8: iconv -f LATIN1 -t UTF-8"
         reason = f"line {line}: byte 0x{data[error.start]:02x} is not UTF-8 text; {remedy}"
         raise InputFileError(path=str(path), faults=[reason]) from error
     if "\0" in text:

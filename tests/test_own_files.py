@@ -1,7 +1,9 @@
 """Whoever gives a program the wrong one of our files is told which it is, and what reads it. The files are those of a released version."""
 
 import itertools
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -61,6 +63,18 @@ def test_the_wrong_file_is_told_for_what_it_is(
     assert f"{KINDS[kind]}: {own.use}" in told
     assert files[kind].read_bytes() == before
     assert not list(tmp_path.iterdir())
+
+
+def test_a_store_that_a_mapper_keeps_for_itself_is_told_for_what_it_is(
+    files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "mapper.sqlite"
+    store.write_bytes(files["mapper.sqlite"].read_bytes())
+    with closing(sqlite3.connect(store, isolation_level=None)) as connection:
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+        connection.execute("BEGIN EXCLUSIVE")
+        assert gateway(["audit", "verify", str(store)]) == 1
+    assert "is no journal but a mapper's store" in capsys.readouterr().err
 
 
 def test_a_file_is_none_of_ours_where_nothing_says_so_and_a_configuration_is_told_the_file_it_got(

@@ -192,6 +192,10 @@ def unfit(path: Path, error: sqlite3.DatabaseError) -> JournalUnfitError:
         return foreign(path, f"is no journal ({text})")
     if "readonly" in text or "unable to open" in text:
         return JournalUnfitError(path=str(path), reason=f"cannot be written ({text})", advice="make it writable or choose another file")
+    if "locked" in text:  # readers never wait for a gateway: it is the database of a program that wants it for itself
+        if tell_own_file(_head_of(path)) not in {None, JOURNAL}:
+            return foreign(path, f"is no journal ({text})")
+        return JournalUnfitError(path=str(path), reason=f"is in use ({text})", advice="end the program that has it open, or wait for it")
     return JournalUnfitError(path=str(path), reason=text, advice=_NO_SPACE_ADVICE)
 
 

@@ -35,7 +35,7 @@ def open_register(path: Path, *, token_file: Path | None) -> TokenRegister:
         _log.warning(
             "access.no_admin",
             tokens=str(path),
-            next_step=f"biobot-mapper tokens add NAME --role admin --tokens {path}; until then nobody may command",
+            next_step=f"biobot-mapper tokens add NAME --role admin --tokens {path}; until then tokens are made and revoked here only",
         )
     return register
 

@@ -10,7 +10,8 @@ import numpy as np
 from firmware_protocol.contract.records import Cause, Mode
 from firmware_protocol.units import NodeId
 from mapper.component_map import PlacedComponent
-from mapper.confidence.counting import count_holes, describe_numbers, is_telling
+from mapper.confidence.coarse_contacts import COARSE_SHARE, doubt_reach
+from mapper.confidence.counting import count_holes, describe_numbers, is_telling, mix_with
 from mapper.confidence.evidence import N_LOOPS, Evidence, Sighting, Track, mean_change, reach_of
 from mapper.confidence.model import Models
 from mapper.confidence.sufficiency import Doubt, Facts, judge_data
@@ -80,10 +81,14 @@ def judge_components(
     There are as many holes as is most probable, less those that are too unlikely by themselves, and they are the likeliest loops: the rule
     of the recipe only takes part in the evidence. Where the map tells nothing (`is_telling`) no loop is told of.
     """
+    encounters_each = 2.0 * len(table) / len(np.unique(np.concatenate([table.id1, table.id2])))
     is_known = _is_telling(gathered) and not doubts
+    coarse = doubt_reach(gathered[0], encounters_each=encounters_each) if is_known else ()
     most = MOST_OF_OTHERS if doubts else 1.0
     chances = tuple(np.minimum(loop_probabilities(models, one), most if _is_telling(gathered) else 0.0) for one in gathered)
     distribution = count_distribution(models, gathered, chances, is_known=is_known)
+    if coarse:
+        distribution = mix_with(distribution, models.prior, share=COARSE_SHARE)
     chosen = choose_holes(np.concatenate(chances), distribution, is_telling=is_known)
     ends = np.cumsum([len(some) for some in chances])[:-1]
     is_hole = tuple(
@@ -92,7 +97,7 @@ def judge_components(
     is_well_seen: BoolArray = np.concatenate([point_probabilities(models, one) >= WELL_SEEN for one in gathered])
     count = tell_count(int(chosen.sum()), distribution, is_known=is_known)
     facts = Facts(
-        encounters_each=2.0 * len(table) / len(np.unique(np.concatenate([table.id1, table.id2]))),
+        encounters_each=encounters_each,
         n_landmarks=gathered[0].part.n_landmarks,
         n_walkers=gathered[0].track.n_walkers,
         n_components=n_components,
@@ -101,7 +106,7 @@ def judge_components(
         well_seen=float(is_well_seen.mean()),
         has_moved_on=_has_moved_on(gathered),
         span_s=(int(table.t_end_ns.max()) - int(table.t_start_ns.min())) / _NS_PER_S,
-        doubts=tuple(doubts),
+        doubts=(*doubts, *coarse),
     )
     return Verdict(
         chances=chances,

@@ -110,16 +110,18 @@ def count_holes(
         total = np.zeros(len(columns["number"]))
         summed = add_up(alone)[: len(total)]
         total[: len(summed)] = summed
-        return np.asarray((1.0 - _BEYOND_TRAINING) * total / total.sum() + _BEYOND_TRAINING * _padded(prior, len(total)))
+        return mix_with(total / total.sum(), prior, share=_BEYOND_TRAINING)
     if not is_telling:
-        return _padded(prior, len(columns["number"]))
+        return mix_with(np.zeros(len(columns["number"])), prior, share=1.0)
     score = model.score(columns)
     weights = np.exp(score - score.max())
     return np.asarray(weights / weights.sum())
 
 
-def _padded(prior: Sequence[float], n: int) -> FloatArray:
-    return np.pad(np.array(prior, dtype=np.float64), (0, n - len(prior)))
+def mix_with(distribution: FloatArray, prior: Sequence[float], *, share: float) -> FloatArray:
+    """Believe a distribution of numbers, shape (n,), but for a share, for which what is known before holds."""
+    before = np.pad(np.array(prior, dtype=np.float64), (0, len(distribution) - len(prior)))
+    return np.asarray((1.0 - share) * distribution + share * before)
 
 
 def add_up(probabilities: FloatArray) -> FloatArray:

@@ -140,8 +140,8 @@ def _apart(facts: Facts) -> Iterator[tuple[str, str]]:
 
 
 def _unsure(facts: Facts) -> Iterator[tuple[str, str]]:
-    if facts.count.probability >= SURE_ENOUGH or not facts.count.is_known:
-        # What makes it unknown has been told.
+    if facts.count.probability >= SURE_ENOUGH or not facts.count.is_known or facts.doubts:
+        # What makes it unknown, or unsure whatever is recorded, has been told.
         return
     if facts.has_moved_on:
         walk = "stay longer at each place, or pass it twice"

@@ -133,3 +133,9 @@ def test_a_text_that_is_not_utf8_is_told_how_to_become_it(tmp_path: Path, capsys
     (tmp_path / "log.csv").write_bytes(b"start,end,id1,id2\n1,2,Andr\xe9,Anna\n")
     assert main(["run", str(tmp_path / "log.csv")]) == 1
     assert "save it as UTF-8: iconv -f LATIN1 -t UTF-8" in capsys.readouterr().err
+    (tmp_path / "log.csv").write_bytes("start,end,id1,id2\n1,2,André,Anna\n".encode("utf-16"))
+    assert main(["run", str(tmp_path / "log.csv")]) == 1
+    assert "iconv -f UTF-16 -t UTF-8" in capsys.readouterr().err
+    (tmp_path / "log.csv").write_bytes(b"\x89PNG\r\n\x1a\n\0\0")
+    assert main(["run", str(tmp_path / "log.csv")]) == 1
+    assert "iconv" not in capsys.readouterr().err

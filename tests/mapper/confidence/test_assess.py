@@ -32,6 +32,24 @@ def test_the_hole_of_a_ring_that_many_walked_is_sure() -> None:
     assert result.hole_count.value == int(np.argmax(result.hole_count.probabilities)) == 1
 
 
+def test_where_biobots_notice_each_other_from_afar_no_number_is_sure_and_it_is_told_why() -> None:
+    """Hissing cockroaches with a detection radius of a tenth of the arena: the counts were too low, told with up to 99 %."""
+    rows, spells = walk_track(n_landmarks=20, n_walkers=30, duration_s=120, seed=1, is_ring=True)
+    near = compute_map(table_of(rows), spells, _RECIPE)
+    longer_ns = round(0.3 * near.components[0].diameter * NS)
+    far = compute_map(table_of([(start - longer_ns, end + longer_ns, one, other) for start, end, one, other in rows]), spells, _RECIPE)
+    assert far.hole_count is not None
+    assert far.data is not None
+    assert far.hole_count.is_known
+    assert far.hole_count.probability < 0.7
+    assert far.hole_count.value == int(np.argmax(far.hole_count.probabilities))
+    assert not far.data.is_enough
+    assert "of the time across the map" in far.data.reasons[0]
+    assert "closer" in far.data.remedies[0]
+    assert near.data is not None
+    assert not any("across the map" in reason for reason in near.data.reasons)
+
+
 def test_every_probability_is_one_and_those_of_all_numbers_sum_to_one() -> None:
     result = _ring(is_ring=False)
     told = [hole.probability for hole in (*result.holes, *result.possible_holes)]
