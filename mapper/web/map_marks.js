@@ -34,8 +34,8 @@ class Labels {
     Object.assign(this, { context, halo, wanted: [], taken: [] });
   }
 
-  add(text, [x, y], { colour, size = 11, weight = 600, rank = 0, isAlways = false }) {
-    this.wanted.push({ text, x, y, colour, size, weight, rank, isAlways });
+  add(text, [x, y], { colour, size = 11, weight = 600, rank = 0, isAlways = false, staysInside = false }) {
+    this.wanted.push({ text, x, y, colour, size, weight, rank, isAlways, staysInside });
   }
 
   /** Keep names off a box [left, top, right, bottom]. */
@@ -52,6 +52,7 @@ class Labels {
       if (one.x < -40 || one.y < -20 || one.x > width + 40 || one.y > height + 20) continue;
       context.font = `${one.weight} ${one.size}px ${FONT}`;
       const half = context.measureText(one.text).width / 2 + 2, up = one.size / 2 + 1;
+      if (one.staysInside) one.x = Math.max(half, Math.min(one.x, width - half));
       const box = [one.x - half, one.y - up, one.x + half, one.y + up];
       if (!one.isAlways && this.taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3])) continue;
       this.taken.push(box);
@@ -77,7 +78,7 @@ function drawPart(context, labels, { part, component, bounds }, screen, colours)
   context.lineWidth = 1;
   context.strokeRect(left - 8, high - 8, right - left + 16, low - high + 16);
   context.setLineDash([]);
-  labels.add(`component ${component + 1}: ${part.n_encounters.toLocaleString("en")} encounters`, [(left + right) / 2, high - 22], { colour: colours.soft, size: 12, rank: 4 });
+  labels.add(`component ${component + 1}: ${part.n_encounters.toLocaleString("en")} encounters`, [(left + right) / 2, high - 22], { colour: colours.soft, size: 12, rank: 4, staysInside: true });
 }
 
 /** A likely hole has a full line, a doubtful one a broken one, one that only may be there a faint dotted one. */

@@ -92,8 +92,9 @@ class MissionBlock {
     const facts = [`since ${clock(began)} (${age(this.live.serverNow() - began)})`];
     if (round) facts.push(`round ${round}`);
     if (landmarks.length) facts.push(`${count(landmarks.length)} landmarks`);
-    if (operator) facts.push(`ordered by ${operator}`);
-    if (reason) facts.push(reason);
+    const ordered = operator ? `ordered by ${operator}` : "";
+    if (ordered) facts.push(ordered);
+    if (reason && reason !== ordered) facts.push(reason);
     setText(this.facts, facts.join(" · "));
   }
 

@@ -9,6 +9,7 @@ import threading
 import time
 import tty
 from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -225,18 +226,20 @@ def test_a_by_id_link_is_followed_to_wherever_the_dongle_comes_back(tmp_path: Pa
         radio = _a_radio(partial(open_transport, spec), config=LinkTable(first_backoff_s=0.01, max_backoff_s=0.05), health=health)
         task = asyncio.ensure_future(radio.run())
         await until(lambda: "there is no" in health.radio_conditions()["r"].reason, what="it says what is missing")
-        async with dongle_on_pty("native", link):
-            first = link.readlink()
-            await until(lambda: radio.is_up, what="it is found")
-            condition = health.radio_conditions()["r"]
-            assert (condition.state, condition.reason) == (RadioState.UP, "")
-            await until(lambda: "native firmware" in health.radio_conditions()["r"].firmware, what="it has said who it is")
-        await until(lambda: not radio.is_up, what="it is pulled out")
-        taken = os.open("/dev/ptmx", os.O_RDWR | os.O_NOCTTY)  # so that the number is another one next time
-        async with dongle_on_pty("native", link):
-            assert link.readlink() != first
+        async with AsyncExitStack() as later:
+            async with dongle_on_pty("native", link):
+                first = link.readlink()
+                await until(lambda: radio.is_up, what="it is found")
+                condition = health.radio_conditions()["r"]
+                assert (condition.state, condition.reason) == (RadioState.UP, "")
+                await until(lambda: "native firmware" in health.radio_conditions()["r"].firmware, what="it has said who it is")
+                # Made while the first is there, so that it has another number, whoever else opens terminals.
+                elsewhere = tmp_path / "elsewhere"
+                await later.enter_async_context(dongle_on_pty("native", elsewhere))
+            await until(lambda: not radio.is_up, what="it is pulled out")
+            assert elsewhere.readlink() != first
+            elsewhere.rename(link)
             await until(lambda: radio.is_up, what="it is found under another number")
-        os.close(taken)
         await _end(task)
 
     asyncio.run(story())
